@@ -1,0 +1,132 @@
+"""Planar geometry on arrays: frames, angles, distances, and rays against discs and boxes.
+
+Every function takes NumPy or JAX arrays and answers in kind (the array API's namespace), so that one text serves the
+jitted training loop, the benchmark's bookkeeping and the tests.
+
+Frames: the world frame has x to the right and y up the map, angles counter-clockwise from +x [rad]. A body frame has
+x ahead and y to the left. A box is a row `(x, y, half_x, half_y, yaw)` [m, m, m, m, rad].
+"""
+
+import math
+
+BOX_COLUMNS = ("x", "y", "half_x", "half_y", "yaw")
+NO_HIT = math.inf
+
+
+def _namespace(array):
+    return array.__array_namespace__()
+
+
+def wrap_angle(angle):
+    """`angle` [rad], any shape, brought into [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def rotate(vector, angle):
+    """`vector` (..., 2) turned by `angle` (...) [rad], counter-clockwise. Body frame to world frame for a body's yaw."""
+    xp = _namespace(vector)
+    c, s = xp.cos(angle), xp.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return xp.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def to_body(vector, yaw):
+    """World-frame `vector` (..., 2) seen from bodies at `yaw` (...) [rad]: (..., 2), body frame."""
+    return rotate(vector, -yaw)
+
+
+def norm(vector):
+    """Length (...) of `vector` (..., 2)."""
+    xp = _namespace(vector)
+    return xp.sqrt(vector[..., 0] ** 2 + vector[..., 1] ** 2)
+
+
+def in_box_frame(point, boxes):
+    """`point` (..., 2) in the frame of each of `boxes` (..., B, 5): (..., B, 2) [m]."""
+    return to_body(point[..., None, :] - boxes[..., :2], boxes[..., 4])
+
+
+def point_box_distance(point, boxes):
+    """Distance [m] from `point` (..., 2) to each of `boxes` (..., B, 5): (..., B); 0 inside."""
+    xp = _namespace(point)
+    outside = xp.abs(in_box_frame(point, boxes)) - boxes[..., 2:4]
+    return norm(xp.maximum(outside, xp.zeros_like(outside)))
+
+
+def closest_on_box(point, boxes):
+    """The point of each of `boxes` (..., B, 5) closest to `point` (..., 2): (..., B, 2), world frame [m]."""
+    xp = _namespace(point)
+    half = boxes[..., 2:4]
+    inside = xp.minimum(xp.maximum(in_box_frame(point, boxes), -half), half)
+    return rotate(inside, boxes[..., 4]) + boxes[..., :2]
+
+
+def box_corners(boxes):
+    """Corners of `boxes` (..., B, 5), counter-clockwise: (..., B, 4, 2), world frame [m]."""
+    xp = _namespace(boxes)
+    sign = xp.asarray([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], dtype=boxes.dtype)
+    local = sign * boxes[..., None, 2:4]
+    return rotate(local, boxes[..., None, 4]) + boxes[..., None, :2]
+
+
+def box_box_gap(box, boxes):
+    """Distance [m] between the rectangle `box` (..., 5) and each of `boxes` (..., B, 5): (..., B); 0 where they overlap.
+
+    Two convex polygons that don't overlap are closest at a corner of one of them; they overlap where no side of either
+    separates them (separating axis theorem).
+    """
+    xp = _namespace(box)
+    one = box[..., None, :]  # (..., 1, 5)
+    corners, other_corners = box_corners(one), box_corners(boxes)
+
+    def outside(points, frame):  # by how much each corner lies outside the rectangle's sides, along its two axes
+        return to_body(points - frame[..., None, :2], frame[..., None, 4]), frame[..., None, 2:4]
+
+    local_one, half_other = outside(corners, boxes)
+    local_other, half_one = outside(other_corners, one)
+
+    def corner_distance(local, half):
+        beyond = xp.abs(local) - half
+        return xp.min(norm(xp.maximum(beyond, xp.zeros_like(beyond))), axis=-1)
+
+    def separated(local, half):
+        return xp.any((xp.min(local, axis=-2) > half[..., 0, :]) | (xp.max(local, axis=-2) < -half[..., 0, :]), axis=-1)
+
+    gap = xp.minimum(corner_distance(local_one, half_other), corner_distance(local_other, half_one))
+    apart = separated(local_one, half_other) | separated(local_other, half_one)
+    return xp.where(apart, gap, xp.zeros_like(gap))
+
+
+def ray_disc_distance(origin, direction, centre, radius):
+    """How far rays run before they meet discs.
+
+    origin (..., 2), unit direction (..., R, 2), centre (..., N, 2), radius () or (..., N), one frame [m].
+    Returns (..., R, N) [m]: infinity where a ray misses. A ray that starts inside a disc does not see it.
+    """
+    xp = _namespace(origin)
+    offset = centre - origin[..., None, :]  # (..., N, 2)
+    along = direction[..., :, None, 0] * offset[..., None, :, 0] + direction[..., :, None, 1] * offset[..., None, :, 1]
+    squared = (offset[..., 0] ** 2 + offset[..., 1] ** 2 - radius**2)[..., None, :]
+    discriminant = along**2 - squared
+    distance = along - xp.sqrt(xp.maximum(discriminant, xp.zeros_like(discriminant)))
+    return xp.where((discriminant >= 0) & (distance > 0), distance, xp.full_like(distance, NO_HIT))
+
+
+def ray_box_distance(origin, direction, boxes):
+    """How far rays run before they meet boxes, by the slab method.
+
+    origin (..., 2), unit direction (..., R, 2), boxes (..., B, 5), one frame [m].
+    Returns (..., R, B) [m]: infinity where a ray misses. A ray that starts inside a box does not see it.
+    """
+    xp = _namespace(origin)
+    local_origin = in_box_frame(origin, boxes)[..., None, :, :]  # (..., 1, B, 2)
+    yaw = boxes[..., None, :, 4]
+    local_direction = to_body(direction[..., :, None, :], yaw)  # (..., R, B, 2)
+    tiny = 1e-9
+    safe = xp.where(xp.abs(local_direction) < tiny, xp.full_like(local_direction, tiny), local_direction)
+    half = boxes[..., None, :, 2:4]
+    first, second = (-half - local_origin) / safe, (half - local_origin) / safe
+    near, far = xp.minimum(first, second), xp.maximum(first, second)
+    enter = xp.maximum(near[..., 0], near[..., 1])
+    leave = xp.minimum(far[..., 0], far[..., 1])
+    return xp.where((enter <= leave) & (enter > 0), enter, xp.full_like(enter, NO_HIT))

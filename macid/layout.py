@@ -1,0 +1,212 @@
+"""Maps: outer walls and oriented boxes on a square, and where people can stand on them.
+
+The origin is the centre of the map. A layout is frozen; whatever is drawn comes from a `numpy.random.Generator`.
+"""
+
+import dataclasses
+import tomllib
+
+import numpy as np
+
+from macid import assets, geometry
+from macid.state import FAR_AWAY, RADIUS
+
+MAP_SIZE = 50.0  # side of the paper's maps [m]
+MAX_PERSON_DENSITY = 0.08  # persons per m2 at pedestrian density 1: 200 on 50 x 50 m, the paper's Lv.4
+WALL_THICKNESS = 0.3  # [m]
+CORRIDOR = 5.0  # side of a maze's cell [m]
+GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
+_TRIES = 2000
+
+LEVELS = (1, 2, 3, 4)
+
+
+class NoFreeSpace(ValueError):
+    """A map has no room for what was to be put on it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """A square map.
+
+    size: side [m]. obstacles: (B, 5) rows of `geometry.BOX_COLUMNS`, without the outer walls. routed: whether people
+    need waypoints to find their way (mazes). pedestrians: how many people a level has, or None.
+    """
+
+    size: float
+    obstacles: np.ndarray
+    routed: bool = False
+    pedestrians: int | None = None
+    name: str = "layout"
+
+    def __post_init__(self):
+        obstacles = np.asarray(self.obstacles, dtype=float).reshape(-1, len(geometry.BOX_COLUMNS))
+        if not self.size > 0:
+            raise ValueError(f"A layout's size must be positive, not {self.size}.")
+        if not np.isfinite(obstacles).all() or (obstacles[:, 2:4] <= 0).any():
+            raise ValueError(f"Layout '{self.name}': obstacles need finite rows {geometry.BOX_COLUMNS}, halves above 0.")
+        obstacles.flags.writeable = False
+        object.__setattr__(self, "obstacles", obstacles)
+
+    @property
+    def boxes(self):
+        """Outer walls, then obstacles: (4 + B, 5)."""
+        return np.concatenate([outer_walls(self.size), self.obstacles])
+
+
+def outer_walls(size):
+    """The four walls around a map of side `size` [m]: (4, 5). Their inner faces are the map's edge."""
+    far, half, thin = size / 2 + WALL_THICKNESS / 2, size / 2 + WALL_THICKNESS, WALL_THICKNESS / 2
+    return np.array([[far, 0, thin, half, 0], [-far, 0, thin, half, 0], [0, far, half, thin, 0], [0, -far, half, thin, 0]])
+
+
+def pad_boxes(boxes, number):
+    """`boxes` (B, 5) with rows far off the map added up to `number`: (number, 5), for worlds that share one model."""
+    spare = np.tile([0.0, 0.0, 0.5, 0.5, 0.0], (number - len(boxes), 1))
+    spare[:, 0] = -FAR_AWAY - 2.0 * np.arange(len(spare))
+    return np.concatenate([boxes, spare])
+
+
+def person_count(density, size):
+    """How many pedestrians a share `density` in [0, 1] of MAX_PERSON_DENSITY is on a map of side `size` [m]."""
+    if not 0 <= density <= 1:
+        raise ValueError(f"pedestrian_density must be between 0 and 1, not {density}.")
+    return round(density * MAX_PERSON_DENSITY * size**2)
+
+
+def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random"):
+    """`number` boxes of 1 to 4 m at any yaw, at least `passage` [m] from each other and from the walls.
+
+    Raises NoFreeSpace when they don't fit.
+    """
+    boxes = outer_walls(size)
+    for _ in range(number):
+        for _ in range(_TRIES):
+            half = rng.uniform(0.5, 2.0, 2)
+            centre = rng.uniform(-size / 2, size / 2, 2)
+            box = np.array([*centre, *half, rng.uniform(-np.pi / 2, np.pi / 2)])
+            if geometry.box_box_gap(box, boxes).min() >= passage:
+                boxes = np.concatenate([boxes, box[None]])
+                break
+        else:
+            raise NoFreeSpace(f"Only {len(boxes) - 4} of {number} obstacles fit on {size:g} x {size:g} m.")
+    return Layout(size, boxes[4:], name=name)
+
+
+def maze_layout(rng, density, size=MAP_SIZE):
+    """A maze-like map: the first share `density` in [0, 1] of the walls of a spanning-tree maze, in a seeded order.
+
+    The cells of a grid are joined by a random spanning tree (Kruskal); walls stand between cells that the tree does
+    not join, so that every density leaves the map connected, 0 leaves it open, and a lower density has a subset of
+    the walls of a higher one from the same seed.
+    """
+    if not 0 <= density <= 1:
+        raise ValueError(f"obstacle_density must be between 0 and 1, not {density}.")
+    cells = max(1, round(size / CORRIDOR))
+    side = size / cells
+    edges = [((i, j), (i + 1, j)) for i in range(cells - 1) for j in range(cells)]
+    edges += [((i, j), (i, j + 1)) for i in range(cells) for j in range(cells - 1)]
+    group = {(i, j): (i, j) for i in range(cells) for j in range(cells)}
+
+    def root(cell):
+        while group[cell] != cell:
+            cell = group[cell]
+        return cell
+
+    walls = []
+    for index in rng.permutation(len(edges)):
+        (i, j), other = edges[index]
+        a, b = root((i, j)), root(other)
+        if a != b:
+            group[a] = b
+            continue
+        vertical = other[0] == i + 1  # the wall between neighbours along x runs along y
+        x = -size / 2 + (i + 1 if vertical else i + 0.5) * side
+        y = -size / 2 + (j + 0.5 if vertical else j + 1) * side
+        half_length, half_thickness = (side + WALL_THICKNESS) / 2, WALL_THICKNESS / 2
+        walls.append([x, y, *((half_thickness, half_length) if vertical else (half_length, half_thickness)), 0.0])
+    shown = walls[: round(density * len(walls))]
+    return Layout(size, np.reshape(shown, (-1, 5)), routed=bool(shown), name=f"maze-{density:g}")
+
+
+def max_maze_walls(size):
+    """The number of walls of a full maze on a map of side `size` [m]: interior edges that a spanning tree leaves."""
+    cells = max(1, round(size / CORRIDOR))
+    return 2 * cells * (cells - 1) - (cells**2 - 1)
+
+
+def load_layout(file):
+    """A layout from a TOML file with `size`, `obstacles` (rows of BOX_COLUMNS), and optionally `name`, `routed`,
+    `pedestrians`. Raises ValueError, naming what is wrong."""
+    with open(file, "rb") as f:
+        try:
+            fields = tomllib.load(f)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"{file} is not TOML: {error}.") from None
+    known = {field.name for field in dataclasses.fields(Layout)}
+    if unknown := set(fields) - known:
+        raise ValueError(f"{file}: unknown keys {sorted(unknown)}. A layout has {sorted(known)}.")
+    if missing := {"size", "obstacles"} - set(fields):
+        raise ValueError(f"{file}: missing {sorted(missing)}.")
+    return Layout(**fields)
+
+
+def load_level(level):
+    """One of the paper's four levels, frozen in assets/layouts: 25, 50, 100 or 200 people on 50 x 50 m."""
+    if level not in LEVELS:
+        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, LEVELS))}.")
+    return load_layout(assets.path("layouts", f"lv{level}.toml"))
+
+
+def clearance(points, boxes):
+    """Distance [m] from `points` (..., 2) to the nearest of `boxes` (B, 5): (...)."""
+    return geometry.point_box_distance(points, boxes).min(axis=-1)
+
+
+def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
+    """`number` places where people stand free of obstacles and of each other.
+
+    gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
+    which people stay `keep_off` [m] more. Returns (number, 2) [m]. Raises NoFreeSpace.
+    """
+    boxes, half = layout.boxes, layout.size / 2 - RADIUS
+    taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
+    places = np.empty((0, 2))
+    for _ in range(_TRIES):
+        missing = number - len(places)
+        if missing == 0:
+            return places
+        candidates = rng.uniform(-half, half, (2 * missing + 8, 2))
+        candidates = candidates[clearance(candidates, boxes) >= RADIUS + gap]
+        if len(taken):
+            away = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
+            candidates = candidates[away >= 2 * RADIUS + gap + keep_off]
+        for candidate in candidates[:missing]:
+            if not len(places) or np.linalg.norm(places - candidate, axis=-1).min() >= 2 * RADIUS + gap:
+                places = np.concatenate([places, candidate[None]])
+    raise NoFreeSpace(
+        f"Only {len(places)} of {number} people found room on map '{layout.name}' ({layout.size:g} x {layout.size:g} m, "
+        f"{len(layout.obstacles)} obstacles). Lower the pedestrian or obstacle density."
+    )
+
+
+def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3):
+    """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
+
+    Raises NoFreeSpace when the map has no such place.
+    """
+    starts = np.asarray(starts, dtype=float)
+    boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap
+    goals, missing = np.full_like(starts, np.nan), np.arange(len(starts))
+    for _ in range(_TRIES):
+        if not len(missing):
+            return goals
+        drawn = rng.uniform(-half, half, (len(missing), 2))
+        apart = np.linalg.norm(drawn - starts[missing], axis=-1)
+        good = (apart >= distance[0]) & (apart <= distance[1]) & (clearance(drawn, boxes) >= RADIUS + gap)
+        goals[missing[good]] = drawn[good]
+        missing = missing[~good]
+    raise NoFreeSpace(
+        f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal {distance[0]:g} to {distance[1]:g} m "
+        f"from {np.round(starts[missing[0]], 2).tolist()}."
+    )

@@ -1,0 +1,1 @@
+"""Pedestrian models behind one call: `controller(state, boxes, goals, lcf) -> command`."""

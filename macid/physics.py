@@ -1,0 +1,141 @@
+"""One step, two engines: MuJoCo's threaded batch simulator, and MJX for accelerators.
+
+Both are functional, `step(state, command) -> state`, can sit in the same jitted `lax.scan`, and are read as the same
+`CrowdState`; nothing behind this file asks which engine runs.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from macid import geometry
+from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, CrowdState
+
+ENGINES = ("native", "mjx")
+
+
+def touching(position, boxes):
+    """Whether each person of `position` (..., K, 2) is within CONTACT_GAP of a person or of `boxes` (..., B, 5): (..., K).
+
+    A collision is this geometric test on both engines, so that scores don't depend on solver details.
+    """
+    xp = position.__array_namespace__()
+    offset = position[..., :, None, :] - position[..., None, :, :]
+    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    myself = xp.eye(position.shape[-2], dtype=bool)
+    people = xp.any((squared <= (2 * RADIUS + CONTACT_GAP) ** 2) & ~myself, axis=-1)
+    to_boxes = geometry.point_box_distance(position, boxes[..., None, :, :])
+    return people | xp.any(to_boxes <= RADIUS + CONTACT_GAP, axis=-1)
+
+
+def read_crowd(qpos, qvel, number, boxes):
+    """The CrowdState of the first `number` pedestrians in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B, 5)."""
+    pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
+    rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
+    position = pose[..., :2]
+    return CrowdState(position, pose[..., 2], rate[..., :2], rate[..., 2], touching(position, boxes))
+
+
+class NativeState(NamedTuple):
+    """The part of MuJoCo's state that a crowd's next step depends on, one row a world."""
+
+    qpos: Any  #: (nworld, 3 K)
+    qvel: Any  #: (nworld, 3 K)
+    warmstart: Any  #: (nworld, 3 K)
+
+
+class _Engine:
+    """What both engines share: the model, sizes, and reading."""
+
+    def __init__(self, model, number, boxes, nworld):
+        self.model, self.number, self.nworld = model, number, nworld
+        self.boxes = jnp.asarray(boxes, jnp.float32)
+
+    def _pack(self, position, yaw):
+        pose = jnp.concatenate([jnp.asarray(position), jnp.asarray(yaw)[..., None]], axis=-1)
+        return pose.reshape(self.nworld, 3 * self.number).astype(jnp.float32)
+
+    def read(self, state):
+        """The CrowdState, leading axes (nworld, K)."""
+        return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
+
+
+class NativePhysics(_Engine):
+    """`nworld` worlds of `number` pedestrians on MuJoCo's batch simulator, reached from jitted code by a callback."""
+
+    def __init__(self, model, number, boxes, nworld, nthread=0):
+        super().__init__(model, number, boxes, nworld)
+        self._batch = mujoco.batch.Batch(model, nworld, nthread)
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._warmstart, self._ctrl = self._batch.bind("qacc_warmstart"), self._batch.bind("ctrl")
+
+    def init(self, position, yaw):
+        """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]."""
+        qpos = self._pack(position, yaw)
+        return NativeState(qpos, jnp.zeros_like(qpos), jnp.zeros_like(qpos))
+
+    def step(self, state, command, nstep=1):
+        """The state after `nstep` physics steps under `command` (nworld, K, 3): world velocity [m/s], yaw rate [rad/s]."""
+
+        def run(qpos, qvel, warmstart, ctrl):
+            self._qpos[:], self._qvel[:], self._warmstart[:], self._ctrl[:] = qpos, qvel, warmstart, ctrl
+            self._batch.step(nstep=nstep)
+            return tuple(np.asarray(field, np.float32) for field in (self._qpos, self._qvel, self._warmstart))
+
+        shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in state)
+        ctrl = command.reshape(self.nworld, 3 * self.number)
+        return NativeState(*jax.pure_callback(run, shapes, *state, ctrl))
+
+
+class MjxPhysics(_Engine):
+    """The same on MJX: one `mjx.Data` with a leading world axis."""
+
+    def __init__(self, model, number, boxes, nworld):
+        super().__init__(model, number, boxes, nworld)
+        from mujoco import mjx
+
+        self._mjx = mjx
+        self._model = mjx.put_model(model)
+
+    def init(self, position, yaw):
+        """As NativePhysics.init."""
+        mjx = self._mjx
+
+        def one(qpos):
+            data = mjx.make_data(self.model).replace(qpos=qpos)
+            return mjx.forward(self._model, data)
+
+        example = mjx.make_data(self.model)
+        data = jax.vmap(one)(self._pack(position, yaw))
+        # A step's output must have its input's types, or every second call would compile anew.
+        return jax.tree.map(lambda x, like: jnp.asarray(x, jnp.asarray(like).dtype), data, example)
+
+    def step(self, state, command, nstep=1):
+        """As NativePhysics.step."""
+        ctrl = command.reshape(self.nworld, 3 * self.number)
+
+        def one(data, ctrl):
+            return self._mjx.step(self._model, data.replace(ctrl=ctrl))
+
+        for _ in range(nstep):
+            stepped = jax.vmap(one)(state, ctrl)
+            state = jax.tree.map(lambda x, like: x.astype(like.dtype), stepped, state)
+        return state
+
+
+def make_physics(engine, model, number, boxes, nworld):
+    """The engine named `engine` ('native' or 'mjx') for `nworld` worlds of `model`, whose crowd has `number` people."""
+    if engine == "native":
+        return NativePhysics(model, number, boxes, nworld)
+    if engine == "mjx":
+        return MjxPhysics(model, number, boxes, nworld)
+    raise ValueError(f"Unknown engine '{engine}'. Choose one of {', '.join(ENGINES)}.")
+
+
+def is_on_map(position):
+    """Whether people at `position` (..., K, 2) are on the map rather than parked far away: (..., K)."""
+    return position[..., 1] < FAR_AWAY / 2

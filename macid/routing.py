@@ -1,0 +1,97 @@
+"""Ways through a map: waypoints on a shortest path of its occupancy grid."""
+
+import functools
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from macid import geometry
+from macid.state import RADIUS
+
+RESOLUTION = 0.5  # side of a grid cell [m]
+_MARGIN = 0.1  # kept from obstacles beside the radius, where there is room [m]
+
+
+def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
+    """Whether a disc of `radius` [m] at each cell's centre touches something: (rows, columns) bool.
+
+    Row i, column j is centred at x = (j + 1/2) resolution - size/2, y = (i + 1/2) resolution - size/2.
+    """
+    cells = max(1, round(layout.size / resolution))
+    axis = (np.arange(cells) + 0.5) * resolution - layout.size / 2
+    centres = np.stack(np.meshgrid(axis, axis), axis=-1)
+    return geometry.point_box_distance(centres, layout.boxes).min(axis=-1) <= radius
+
+
+def lines_are_free(start, goals, boxes, radius=RADIUS):
+    """Whether a disc of `radius` [m] can move straight from `start` (2,) to each of `goals` (M, 2) among `boxes` (B, 5).
+
+    Boxes grow by the radius on each side, which is a little strict at their corners.
+    """
+    step = goals - start
+    length = np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
+    grown = boxes + np.array([0.0, 0.0, radius, radius, 0.0])
+    distance = geometry.ray_box_distance(start, step / length[:, None], grown)
+    return (distance >= length[:, None]).all(axis=-1)
+
+
+class Router:
+    """Shortest paths on one layout. The grid's graph is made on first need: straight ways don't need it."""
+
+    def __init__(self, layout, radius=RADIUS):
+        self.layout, self.radius = layout, radius
+        self._boxes = layout.boxes
+
+    @functools.cached_property
+    def _grid(self):
+        """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, in metres."""
+        occupied = occupancy_grid(self.layout, radius=self.radius + _MARGIN)
+        cells = len(occupied)
+        number = np.full(occupied.shape, -1)
+        rows, columns = np.nonzero(~occupied)
+        number[rows, columns] = np.arange(len(rows))
+        padded = np.pad(number, 1, constant_values=-1)
+        sources, targets, lengths = [], [], []
+        for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            neighbour = padded[1 + di : 1 + di + cells, 1 + dj : 1 + dj + cells]
+            joined = (number >= 0) & (neighbour >= 0)
+            if di and dj:  # no cutting of corners
+                joined &= (padded[1 + di : 1 + di + cells, 1:-1] >= 0) & (padded[1:-1, 1 + dj : 1 + dj + cells] >= 0)
+            sources.append(number[joined])
+            targets.append(neighbour[joined])
+            lengths.append(np.full(joined.sum(), RESOLUTION * np.hypot(di, dj)))
+        edges = (np.concatenate(lengths), (np.concatenate(sources), np.concatenate(targets)))
+        graph = sparse.coo_matrix(edges, shape=(len(rows),) * 2).tocsr()
+        centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
+        return centres, graph
+
+    def path(self, start, goal):
+        """Waypoints (W, 2) [m] from `start` (2,) to `goal` (2,), the goal last, pulled straight where the view is free.
+
+        Raises ValueError when the goal can't be reached.
+        """
+        start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
+        if lines_are_free(start, goal[None], self._boxes, self.radius)[0]:
+            return goal[None]
+        centres, graph = self._grid
+        if not len(centres):
+            raise ValueError(f"Map '{self.layout.name}' has no free cell.")
+        first, last = (int(np.argmin(((centres - p) ** 2).sum(axis=-1))) for p in (start, goal))
+        lengths, before = csgraph.dijkstra(graph, directed=False, indices=last, return_predecessors=True)
+        if not np.isfinite(lengths[first]):
+            raise ValueError(
+                f"Map '{self.layout.name}': no way from {np.round(start, 2).tolist()} to {np.round(goal, 2).tolist()}."
+            )
+        path = []
+        while first != last:
+            path.append(centres[first])
+            first = before[first]
+        path = np.array([*path, centres[last], goal])
+        corners = []
+        while len(path) > 1:  # walk straight to the farthest point that is seen before the first unseen one
+            free = lines_are_free(start, path, self._boxes, self.radius + _MARGIN / 2)
+            seen = len(path) if free.all() else max(1, int(np.argmin(free)))
+            start, path = path[seen - 1], path[seen:]
+            corners.append(start)
+        return np.array([*corners, *path])

@@ -1,0 +1,182 @@
+"""Layout -> MjSpec: floor, walls, obstacles, and cylinder pedestrians on velocity actuators.
+
+A pedestrian has two slides (world x, y) and a yaw hinge, and a velocity actuator for each; pedestrians come first, so
+the first 3 K entries of qpos, qvel and ctrl are theirs, (K, 3) after a reshape. Among themselves and with walls they
+touch through a hidden sphere of their radius: the same planar contact as the upright cylinder's, at a third of its
+cost, and MJX has it. The visible cylinder is what rays, cameras and a robot meet.
+"""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from macid.state import HEIGHT, PHYSICS_STEP, RADIUS
+
+# Contact bits: (contype, conaffinity) of whatever takes part. A pair touches where one's type meets the other's affinity.
+BIT_PERSON, BIT_SOLID, BIT_FLOOR = 1, 2, 4
+PROXY_CONTACT = (BIT_PERSON, BIT_PERSON)  # people with people and walls
+CYLINDER_CONTACT = (BIT_SOLID, 0)  # people with a robot
+WALL_CONTACT = (BIT_PERSON | BIT_SOLID, BIT_PERSON)
+FLOOR_CONTACT = (BIT_FLOOR, 0)
+
+WALL_HEIGHT = 1.2  # [m]
+OUTER_WALL_HEIGHT = 1.6  # [m]
+_PROXY_HEIGHT = 0.5  # of the sphere's centre: below every wall's top [m]
+
+FLOOR_RGBA = (0.80, 0.81, 0.82, 1.0)
+WALL_RGBA = (0.93, 0.93, 0.91, 1.0)
+OBSTACLE_RGBA = (0.72, 0.26, 0.22, 1.0)
+PERSON_RGBA = (0.36, 0.62, 0.40, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class PersonConfig:
+    """A pedestrian's body. The actuators reach a commanded velocity with `response` as their time constant."""
+
+    mass: float = 75.0  # [kg]
+    response: float = 0.05  # [s]
+    max_force: float = 400.0  # of each slide's actuator [N]: what somebody who pushes can bring up
+    friction: float = 0.4  # sliding, with people and walls
+
+
+def base_spec(size):
+    """An empty world with the project's physics options, lights, sky and a floor of side `size` [m]."""
+    spec = mujoco.MjSpec()
+    spec.modelname = "crowd"
+    spec.option.timestep = PHYSICS_STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.stat.extent = size / 2
+    spec.stat.center = [0, 0, 0.5]
+    spec.visual.map.znear = 0.05 / (size / 2)
+    spec.visual.map.zfar = 4.0 * size / (size / 2)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.headlight.ambient = [0.42, 0.42, 0.44]
+    spec.visual.headlight.diffuse = [0.28, 0.28, 0.28]
+    spec.visual.headlight.specular = [0.05, 0.05, 0.05]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.75, 0.83, 0.92],
+        rgb2=[0.96, 0.97, 0.98],
+        width=128,
+        height=768,
+    )
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.76, 0.77, 0.78],
+        rgb2=[0.80, 0.81, 0.82],
+        markrgb=[0.70, 0.71, 0.72],
+        width=256,
+        height=256,
+    )
+    tiles = spec.add_material(name="tiles", reflectance=0.0, specular=0.1, shininess=0.1)
+    tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    tiles.texrepeat = [0.5, 0.5]  # 2 m hold two tiles: a tile is a metre
+    tiles.texuniform = True
+    for name, rgba in (("wall", WALL_RGBA), ("obstacle", OBSTACLE_RGBA)):
+        spec.add_material(name=name, rgba=rgba, specular=0.1, shininess=0.1)
+    world = spec.worldbody
+    world.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, size],
+        dir=[0.35, 0.25, -0.9],
+        diffuse=[0.55, 0.54, 0.50],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=True,
+    )
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[size / 2 + 1.0, size / 2 + 1.0, 0.1],
+        material="tiles",
+        contype=FLOOR_CONTACT[0],
+        conaffinity=FLOOR_CONTACT[1],
+    )
+    return spec
+
+
+def add_people(spec, number, config=PersonConfig()):
+    """Adds `number` pedestrians, `person0` first, to a spec that has no joint yet. They start at the origin."""
+    if spec.joints:
+        raise ValueError("Pedestrians come first: add them before anything else that has joints.")
+    inertia = config.mass * RADIUS**2 / 2
+    sway = config.mass * (3 * RADIUS**2 + HEIGHT**2) / 12
+    for index in range(number):
+        name = f"person{index}"
+        body = spec.worldbody.add_body(name=name, pos=[0, 0, HEIGHT / 2])
+        body.mass, body.inertia, body.explicitinertial = config.mass, [sway, sway, inertia], True
+        body.ipos, body.iquat = [0, 0, 0], [1, 0, 0, 0]
+        for axis, kind, direction, gain, limit in (
+            ("x", mujoco.mjtJoint.mjJNT_SLIDE, [1, 0, 0], config.mass / config.response, config.max_force),
+            ("y", mujoco.mjtJoint.mjJNT_SLIDE, [0, 1, 0], config.mass / config.response, config.max_force),
+            ("yaw", mujoco.mjtJoint.mjJNT_HINGE, [0, 0, 1], inertia / config.response, None),
+        ):
+            body.add_joint(name=f"{name}/{axis}", type=kind, axis=direction)
+            motor = spec.add_actuator(
+                name=f"{name}/{axis}",
+                target=f"{name}/{axis}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                gainprm=[gain] + [0.0] * 9,
+                biasprm=[0.0, 0.0, -gain] + [0.0] * 7,
+            )
+            if limit is not None:
+                motor.forcelimited, motor.forcerange = True, [-limit, limit]
+        body.add_geom(
+            name=f"{name}/cylinder",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[RADIUS, HEIGHT / 2, 0],
+            rgba=PERSON_RGBA,
+            contype=CYLINDER_CONTACT[0],
+            conaffinity=CYLINDER_CONTACT[1],
+            friction=[config.friction, 0.005, 0.0001],
+        )
+        body.add_geom(
+            name=f"{name}/proxy",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[RADIUS, 0, 0],
+            pos=[0, 0, _PROXY_HEIGHT - HEIGHT / 2],
+            rgba=[0, 0, 0, 0],  # invisible, to rays too
+            group=3,
+            contype=PROXY_CONTACT[0],
+            conaffinity=PROXY_CONTACT[1],
+            friction=[config.friction, 0.005, 0.0001],
+        )
+
+
+def add_boxes(spec, boxes, movable=False):
+    """Adds `boxes` (B, 5), the first four as outer walls, each in a body of its own: `box0`, `box1`, ...
+
+    movable: as mocap bodies, whose pose is part of the state (a static geom that moves at run time would leave
+    MuJoCo's bounding volumes stale).
+    """
+    for index, (x, y, half_x, half_y, yaw) in enumerate(np.asarray(boxes, dtype=float)):
+        half_z = (OUTER_WALL_HEIGHT if index < 4 else WALL_HEIGHT) / 2
+        body = spec.worldbody.add_body(
+            name=f"box{index}", pos=[x, y, half_z], quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], mocap=movable
+        )
+        body.add_geom(
+            name=f"box{index}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[half_x, half_y, half_z],
+            material="wall" if index < 4 else "obstacle",
+            contype=WALL_CONTACT[0],
+            conaffinity=WALL_CONTACT[1],
+        )
+
+
+def crowd_spec(layout, number, config=PersonConfig()):
+    """The scene of a crowd alone: `number` pedestrians on `layout`, whose boxes stand still."""
+    spec = base_spec(layout.size)
+    add_people(spec, number, config)
+    add_boxes(spec, layout.boxes)
+    return spec

@@ -1,0 +1,27 @@
+"""Writes the four frozen levels of the paper (Fig. 1, sec. IV-A) to assets/layouts, each from its seed."""
+
+import pathlib
+
+import numpy as np
+
+from macid import layout
+
+PEOPLE = {1: 25, 2: 50, 3: 100, 4: 200}
+OBSTACLES = 20
+FOLDER = pathlib.Path(__file__).resolve().parent.parent / "assets" / "layouts"
+
+
+def main():
+    for level, people in PEOPLE.items():
+        drawn = layout.random_layout(np.random.default_rng(level), OBSTACLES)
+        rows = "\n".join(f"    [{', '.join(f'{value:.3f}' for value in row)}]," for row in drawn.obstacles)
+        text = (
+            f"# Made by tools/make_levels.py from seed {level}. Rows: x, y, half_x, half_y [m], yaw [rad].\n"
+            f'name = "Lv.{level}"\nsize = {drawn.size}\npedestrians = {people}\nobstacles = [\n{rows}\n]\n'
+        )
+        (FOLDER / f"lv{level}.toml").write_text(text)
+        print(f"lv{level}.toml: {people} people, {OBSTACLES} obstacles")
+
+
+if __name__ == "__main__":
+    main()
