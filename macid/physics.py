@@ -45,7 +45,7 @@ class NativeState(NamedTuple):
 
     qpos: Any  #: (nworld, 3 K)
     qvel: Any  #: (nworld, 3 K)
-    warmstart: Any  #: (nworld, 3 K)
+    qacc_warmstart: Any  #: (nworld, 3 K)
 
 
 class _Engine:
@@ -62,6 +62,20 @@ class _Engine:
     def read(self, state):
         """The CrowdState, leading axes (nworld, K)."""
         return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
+
+    def place(self, state, who, position):
+        """The state with the people `who` (nworld, K) bool put at rest at `position` (nworld, K, 2) [m]."""
+        shape = (self.nworld, self.number, 3)
+        pose = state.qpos.reshape(shape)
+        moved = jnp.concatenate([jnp.broadcast_to(position, (*shape[:2], 2)), pose[..., 2:]], axis=-1)
+        qpos = jnp.where(who[..., None], moved, pose).reshape(state.qpos.shape)
+        still = jnp.where(jnp.repeat(who, 3, axis=-1), 0.0, 1.0)
+        return self._replace(
+            state,
+            qpos=qpos.astype(jnp.float32),
+            qvel=state.qvel * still,
+            qacc_warmstart=state.qacc_warmstart * still,
+        )
 
 
 class NativePhysics(_Engine):
@@ -89,6 +103,9 @@ class NativePhysics(_Engine):
         shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in state)
         ctrl = command.reshape(self.nworld, 3 * self.number)
         return NativeState(*jax.pure_callback(run, shapes, *state, ctrl))
+
+    def _replace(self, state, **fields):
+        return state._replace(**fields)
 
 
 class MjxPhysics(_Engine):
@@ -125,6 +142,9 @@ class MjxPhysics(_Engine):
             stepped = jax.vmap(one)(state, ctrl)
             state = jax.tree.map(lambda x, like: x.astype(like.dtype), stepped, state)
         return state
+
+    def _replace(self, state, **fields):
+        return state.replace(**fields)
 
 
 def make_physics(engine, model, number, boxes, nworld):

@@ -175,8 +175,16 @@ def add_boxes(spec, boxes, movable=False):
 
 
 def crowd_spec(layout, number, config=PersonConfig()):
-    """The scene of a crowd alone: `number` pedestrians on `layout`, whose boxes stand still."""
+    """The scene of a crowd alone: `number` pedestrians on `layout`, whose boxes stand still.
+
+    Solver limits are for MJX, which unrolls its iterations and keeps a row for each possible contact; MuJoCo's own
+    solver converges well below them.
+    """
     spec = base_spec(layout.size)
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    spec.option.iterations, spec.option.ls_iterations = 8, 8
     add_people(spec, number, config)
     add_boxes(spec, layout.boxes)
+    for name in ("max_contact_points", "max_geom_pairs"):
+        spec.add_numeric(name=name, data=[max(16, 3 * number)])
     return spec

@@ -73,12 +73,14 @@ class SocialForce:
     view around e, 0.5 else: eqs. 1 to 9 with the published constants. People are points in them: r leads from centre
     to centre and d from a centre to an obstacle's surface, both as published; the constants hold the body's size.
 
-    Another person's next step, |v_b| dt e_b, lies in the direction it wants to go, as published. A robot among the
-    people whose goal nobody is to know gets `position + velocity` for a goal.
+    Another person's next step lies in the direction e_b in which it wants to go, as published. A robot among the people
+    whose goal nobody is to know gets `position + velocity` for a goal.
 
-    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; speed is capped
-    at 1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by
-    `veer` to the right, as exact head-on encounters end in a standstill without.
+    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; the step's length
+    is max(0, v_b . e_b) dt instead of |v_b| dt, the same for whoever gets where it wants (with |v_b|, two who meet in
+    close quarters can lock and drift off together, each taking the drift for the other's step); speed is capped at
+    1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by `veer`
+    to the right, as exact head-on encounters end in a standstill without.
     """
 
     period: float = 0.02  #: between two decisions [s]
@@ -117,7 +119,8 @@ class SocialForce:
 
     def _from_people(self, position, velocity, direction):
         r = position[..., :, None, :] - position[..., None, :, :]  # (..., K, K, 2) from the second to the first
-        step = norm(velocity)[..., None] * self.step_time * direction
+        progress = jnp.maximum(jnp.sum(velocity * direction, axis=-1), 0.0)
+        step = progress[..., None] * self.step_time * direction
         b, gradient = ellipse(r, step[..., None, :, :])
         steepness = self.person_strength / self.person_range * jnp.exp(-b / self.person_range)
         force = steepness[..., None] * gradient  # -grad V

@@ -1,0 +1,122 @@
+"""An episode of a crowd: everybody walks from a start to a goal and leaves the map there. Functional and jittable."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from macid import geometry, physics, scene
+from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
+from macid.state import GOAL_RADIUS, PHYSICS_STEP, parking_place
+
+
+@dataclasses.dataclass(frozen=True)
+class CrowdConfig:
+    """A crowd on a map. Lengths in metres, times in seconds."""
+
+    number: int = 50
+    period: float = PHYSICS_STEP  # between decisions; a multiple of the physics step
+    duration: float = 20.0  # of an episode: the paper's T = 1000 steps
+    lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each person's LCF is drawn
+    goal_distance: tuple[float, float] = GOAL_DISTANCE
+    person: scene.PersonConfig = scene.PersonConfig()
+
+    def __post_init__(self):
+        if self.number < 1:
+            raise ValueError(f"A crowd needs at least one person, not {self.number}.")
+        if self.substeps < 1 or abs(self.substeps * PHYSICS_STEP - self.period) > 1e-9:
+            raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
+        if not self.lcf[0] <= self.lcf[1]:
+            raise ValueError(f"lcf must be a range (least, most), not {self.lcf}.")
+
+    @property
+    def substeps(self):
+        """Physics steps a decision lasts."""
+        return round(self.period / PHYSICS_STEP)
+
+    @property
+    def steps(self):
+        """Decisions in an episode."""
+        return round(self.duration / self.period)
+
+
+class Episode(NamedTuple):
+    """Where an episode stands; leading axes (nworld, K)."""
+
+    physics: Any
+    goals: Any  #: (nworld, K, 2) [m]
+    lcf: Any  #: (nworld, K)
+    walking: Any  #: bool: still on the map
+    collisions: Any  #: int32: steps of 0.02 s in contact, while walking
+    distance: Any  #: start to goal [m]
+    travelled: Any  #: way walked so far [m]
+
+
+class Crowd:
+    """`nworld` episodes at once of the crowd `config` on `layout`."""
+
+    def __init__(self, layout: Layout, config=CrowdConfig(), nworld=1, engine="native"):
+        self.layout, self.config, self.nworld = layout, config, nworld
+        self.model = scene.crowd_spec(layout, config.number, config.person).compile()
+        self.engine = physics.make_physics(engine, self.model, config.number, layout.boxes, nworld)
+
+    @property
+    def boxes(self):
+        """(B, 5), for controllers and observations."""
+        return self.engine.boxes
+
+    def reset(self, rng) -> Episode:
+        """A new episode in every world, drawn from the numpy Generator `rng`. Raises NoFreeSpace."""
+        number, shape = self.config.number, (self.nworld, self.config.number)
+        starts = np.stack([sample_people(rng, self.layout, number) for _ in range(self.nworld)])
+        goals = np.stack([sample_goals(rng, self.layout, s, self.config.goal_distance) for s in starts])
+        towards = goals - starts
+        state = jax.jit(self.engine.init)(starts, np.arctan2(towards[..., 1], towards[..., 0]))
+        return Episode(
+            state,
+            jnp.asarray(goals, jnp.float32),
+            jnp.asarray(rng.uniform(*self.config.lcf, shape), jnp.float32),
+            jnp.ones(shape, bool),
+            jnp.zeros(shape, jnp.int32),
+            jnp.asarray(np.linalg.norm(towards, axis=-1), jnp.float32),
+            jnp.zeros(shape, jnp.float32),
+        )
+
+    def step(self, episode: Episode, command) -> Episode:
+        """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
+        command = jnp.where(episode.walking[..., None], command, 0.0)
+        state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
+        before = self.engine.read(state)
+        for _ in range(self.config.substeps):
+            state = self.engine.step(state, command)
+            after = self.engine.read(state)
+            collisions = collisions + (after.contact & episode.walking)
+            travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
+            before = after
+        arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
+        away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)
+        return episode._replace(
+            physics=self.engine.place(state, arrived, away),
+            walking=episode.walking & ~arrived,
+            collisions=collisions,
+            travelled=travelled,
+        )
+
+    def rollout(self, episode: Episode, controller, steps=None):
+        """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and the positions
+        (steps, nworld, K, 2) [m] before each decision."""
+        return self._rollout(episode, controller, steps or self.config.steps)
+
+    def _rollout(self, episode, controller, steps):
+        key = (controller, steps)
+        if key not in self.__dict__.setdefault("_compiled", {}):
+
+            def one(episode, _):
+                state = self.engine.read(episode.physics)
+                command = controller(state, self.boxes, episode.goals, episode.lcf)
+                return self.step(episode, command), state.position
+
+            self._compiled[key] = jax.jit(lambda episode: jax.lax.scan(one, episode, None, length=steps))
+        return self._compiled[key](episode)

@@ -1,0 +1,54 @@
+"""Results on disk: written to a temporary name and renamed, so that nobody reads half a file; and command-line errors."""
+
+import json
+import os
+import pathlib
+import sys
+import tempfile
+
+
+class UsageError(ValueError):
+    """A request that can't be met as it was made; the message says what is valid."""
+
+
+def output_folder(path):
+    """`path` as a writable folder, made if missing. Raises UsageError."""
+    folder = pathlib.Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UsageError(f"Can't write to '{folder}': {error.strerror}. Name a folder that you can write to.") from None
+    return folder
+
+
+def write_bytes(path, content):
+    """`content` to the file `path`, all or nothing."""
+    path = pathlib.Path(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as f:
+            f.write(content)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def write_json(path, content):
+    """`content` as JSON to the file `path`, all or nothing."""
+    write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def run_command(program, main):
+    """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130."""
+    try:
+        return main()
+    except (ValueError, FileNotFoundError) as error:
+        print(f"{program}: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return 130
