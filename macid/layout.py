@@ -123,8 +123,7 @@ def maze_layout(rng, density, size=MAP_SIZE):
         vertical = other[0] == i + 1  # the wall between neighbours along x runs along y
         x = -size / 2 + (i + 1 if vertical else i + 0.5) * side
         y = -size / 2 + (j + 0.5 if vertical else j + 1) * side
-        half_length, half_thickness = (side + WALL_THICKNESS) / 2, WALL_THICKNESS / 2
-        walls.append([x, y, *((half_thickness, half_length) if vertical else (half_length, half_thickness)), 0.0])
+        walls.append([x, y, (side + WALL_THICKNESS) / 2, WALL_THICKNESS / 2, np.pi / 2 if vertical else 0.0])
     shown = walls[: round(density * len(walls))]
     return Layout(size, np.reshape(shown, (-1, 5)), routed=bool(shown), name=f"maze-{density:g}")
 

@@ -74,8 +74,8 @@ def least_violation(normal, offset, hard, target, top_speed):
 
     The first `hard` half-planes and the disc of `top_speed` [m/s] hold; standing must be permitted by them, and is what
     comes out should rounding leave nothing. Linear program 3 of the paper: where half-plane i is the most violated one,
-    which other half-planes' bisectors with i bound, the best velocity is as far along n_i as possible. Of equally good ones
-    (a stretch between two opposite half-planes), the one nearest to `target` (..., 2) is taken.
+    which other half-planes' bisectors with i bound, the best velocity is as far along n_i as possible. Of equally good
+    ones (a stretch between two opposite half-planes), the one nearest to `target` (..., 2) is taken.
     """
     soft_normal, soft_offset = normal[..., hard:, :], offset[..., hard:]
     soft = soft_offset.shape[-1]

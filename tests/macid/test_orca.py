@@ -77,7 +77,8 @@ def signed_distance(velocity, corners, radius, horizon):
 
 def test_half_planes_touch_the_velocity_obstacles():
     rng = np.random.default_rng(3)
-    obstacle_half_planes, neighbor_half_planes = jax.jit(MODEL.obstacle_half_planes), jax.jit(MODEL.neighbor_half_planes)
+    obstacle_half_planes = jax.jit(MODEL.obstacle_half_planes)
+    neighbor_half_planes = jax.jit(MODEL.neighbor_half_planes)
     person, radius = np.zeros((1, 2)), 0.37
     for _ in range(40):
         velocity, centre = rng.uniform(-1.5, 1.5, (1, 2)), rng.uniform(-3, 3, 2)

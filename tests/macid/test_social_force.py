@@ -143,6 +143,7 @@ def test_a_mirrored_scene_gives_a_mirrored_command():
 
 
 def test_people_turn_to_where_they_walk():
-    velocity, yaw = jnp.asarray([[0.0, 1.0], [-1.0, -0.01], [1.0, 0.0], [0.01, 0.0]]), jnp.asarray([0.0, 3.1, 0.01, 2.0])
+    velocity = jnp.asarray([[0.0, 1.0], [-1.0, -0.01], [1.0, 0.0], [0.01, 0.0]])
+    yaw = jnp.asarray([0.0, 3.1, 0.01, 2.0])
     rate = face_velocity(velocity, yaw, 0.02)[:, 2]
     np.testing.assert_allclose(rate, [MAX_YAW_RATE, MAX_YAW_RATE, -0.5, 0.0], atol=1e-4)

@@ -1,0 +1,159 @@
+"""What is asked of the robot, and among whom: the task's configuration, and the spawning of an episode."""
+
+import dataclasses
+import typing
+
+import numpy as np
+
+from bson.robot import RobotConfig
+from macid import layout as maps
+from macid.layout import MAP_SIZE, Layout
+from macid.reward import RewardWeights
+from macid.state import PHYSICS_STEP
+
+PEDESTRIANS = 24  # the paper's, sec. VI-D
+_START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
+_GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskConfig:
+    """An episode's setting. Lengths in metres, times in seconds. The defaults are the paper's (sec. VI-D).
+
+    The number of pedestrians is `num_pedestrians`, or `pedestrian_density` as a share of 0.08 persons/m2 (give one of
+    the two; with neither, 24).
+    """
+
+    num_pedestrians: int | None = None
+    pedestrian_density: float | None = None  # in [0, 1]
+    obstacle_density: float = 0.0  # in [0, 1]: share of a maze's walls that stand
+    pedestrian_model: str = "social-force"
+    lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each pedestrian's LCF is drawn
+    map_size: float = MAP_SIZE
+    control_period: float = 0.1  # between the robot's decisions
+    pedestrian_period: float = 0.1  # between the pedestrians' decisions
+    horizon: int = 1000  # control steps until truncation
+    goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
+    reward: RewardWeights = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
+    robot: RobotConfig = RobotConfig()
+
+    def __post_init__(self):
+        from macid.pedestrians import make_controller
+
+        object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
+        object.__setattr__(self, "goal_distance", _pair("goal_distance", self.goal_distance))
+        if self.num_pedestrians is not None and self.pedestrian_density is not None:
+            raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
+        if self.num_pedestrians is not None and not (_is_whole(self.num_pedestrians) and self.num_pedestrians >= 0):
+            raise ValueError(f"num_pedestrians must be a whole number of at least 0, not {self.num_pedestrians!r}.")
+        for name in ("pedestrian_density", "obstacle_density"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0 <= value <= 1):
+                raise ValueError(f"{name} must be between 0 and 1, not {value!r}.")
+        if not (_is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
+            raise ValueError(f"map_size must be between 10 and 500 m, not {self.map_size!r}.")
+        if not 0 < self.goal_distance[0] <= self.goal_distance[1]:
+            raise ValueError(f"goal_distance must be two positive lengths (least, most), not {self.goal_distance}.")
+        if not (_is_whole(self.horizon) and self.horizon >= 1):
+            raise ValueError(f"horizon must be a whole number of at least 1, not {self.horizon!r}.")
+        _multiple("pedestrian_period", self.pedestrian_period, "the physics step", PHYSICS_STEP)
+        _multiple("control_period", self.control_period, "the physics step", PHYSICS_STEP)
+        if self.pedestrian_period > self.control_period:
+            object.__setattr__(self, "pedestrian_period", self.control_period)
+        _multiple("control_period", self.control_period, "pedestrian_period", self.pedestrian_period)
+        make_controller(self.pedestrian_model, self.pedestrian_period)
+
+    @property
+    def people(self):
+        """The number of pedestrians."""
+        if self.pedestrian_density is not None:
+            return maps.person_count(self.pedestrian_density, self.map_size)
+        return PEDESTRIANS if self.num_pedestrians is None else self.num_pedestrians
+
+    @property
+    def decisions(self):
+        """Pedestrians' decisions in a control step."""
+        return round(self.control_period / self.pedestrian_period)
+
+    @property
+    def substeps(self):
+        """Physics steps in a pedestrians' decision."""
+        return round(self.pedestrian_period / PHYSICS_STEP)
+
+    def replace(self, **changes):
+        """This configuration with `changes`; a pedestrian count replaces a density and the other way round.
+
+        Raises ValueError for an unknown name, listing the valid ones.
+        """
+        names = [field.name for field in dataclasses.fields(self)]
+        if unknown := sorted(set(changes) - set(names)):
+            raise ValueError(f"Unknown option '{unknown[0]}'. Choose among {', '.join(names)}.")
+        if changes.get("num_pedestrians") is not None:
+            changes = {"pedestrian_density": None, **changes}
+        elif changes.get("pedestrian_density") is not None:
+            changes = {"num_pedestrians": None, **changes}
+        return dataclasses.replace(self, **changes)
+
+
+def _is_number(value):
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and np.isfinite(value)
+
+
+def _is_whole(value):
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _pair(name, value):
+    """`value` as (least, most): a number stands for both. Raises ValueError."""
+    pair = (value, value) if _is_number(value) else value
+    try:
+        least, most = pair
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or (least, most), not {value!r}.") from None
+    if not (_is_number(least) and _is_number(most) and least <= most):
+        raise ValueError(f"{name} must be a number or (least, most) with least <= most, not {value!r}.")
+    return float(least), float(most)
+
+
+def _multiple(name, value, of_name, of):
+    if not (_is_number(value) and value > 0 and abs(round(value / of) * of - value) < 1e-9 and round(value / of) >= 1):
+        raise ValueError(f"{name} must be a multiple of {of_name} ({of:g} s), not {value!r}.")
+
+
+class Spawn(typing.NamedTuple):
+    """How an episode begins. World frame, metres and radians."""
+
+    layout: Layout
+    robot: np.ndarray  #: (3,) x, y, yaw
+    goal: np.ndarray  #: (2,)
+    people: np.ndarray  #: (K, 3) x, y, yaw
+    lcf: np.ndarray  #: (K,)
+
+
+def spawn(config: TaskConfig, rng) -> Spawn:
+    """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
+
+    The robot faces its goal. Raises macid.layout.NoFreeSpace where the map has no room.
+    """
+    layout = maps.maze_layout(rng, config.obstacle_density, config.map_size)
+    gap = _GOAL_CLEARANCE
+    for _ in range(50):  # a start in the middle of a small map has no goal far enough
+        start = maps.sample_people(rng, layout, 1, gap=gap)
+        try:
+            goal = maps.sample_goals(rng, layout, start, config.goal_distance, gap=gap)[0]
+            break
+        except maps.NoFreeSpace as error:
+            failure = error
+    else:
+        raise failure
+    people = maps.sample_people(rng, layout, config.people, taken=start, keep_off=_START_CLEARANCE)
+    people = people.reshape(-1, 2)
+    towards = goal - start[0]
+    return Spawn(
+        layout,
+        np.array([*start[0], np.arctan2(towards[1], towards[0])]),
+        goal,
+        np.concatenate([people, rng.uniform(-np.pi, np.pi, (len(people), 1))], axis=-1),
+        rng.uniform(*config.lcf, len(people)),
+    )
+

@@ -1,0 +1,254 @@
+"""Worlds of a scene, its pedestrians and the robot, many at once on one MuJoCo batch.
+
+Every world has the same configuration and its own episode. What a world does depends only on its seed and its
+commands, never on its neighbours in the batch, bit for bit: physics is stepped by MuJoCo's batch, which promises as
+much, and pedestrians decide by one compiled program a world, since a vectorised one may round differently.
+"""
+
+import copy
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from bson import robot
+from bson.task import TaskConfig, spawn
+from macid import geometry, layout, physics, scene
+from macid.pedestrians import make_controller
+from macid.routing import Router
+from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
+
+_FAR = np.inf
+
+
+def build_model(config: TaskConfig, sensors):
+    """The MjModel of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
+    obstacles = round(config.obstacle_density * layout.max_maze_walls(config.map_size))
+    example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
+    assert len(example.obstacles) == obstacles
+    spec = scene.base_spec(config.map_size)
+    scene.add_people(spec, config.people)
+    scene.add_boxes(spec, example.boxes, movable=True)
+    robot.add_robot(spec)
+    for sensor in sensors:
+        sensor.mount(spec)
+    return spec.compile()
+
+
+class World:
+    """`nworld` worlds. Arrays have a leading axis (nworld,); after `step(ids, ...)` the rows `ids` are current.
+
+    pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m]; start_distance,
+    distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps; arrived: bool;
+    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,); and counts of physics steps (0.02 s) in which the
+    robot touched anything (collisions), a person, an obstacle, an outer wall.
+    """
+
+    def __init__(self, config: TaskConfig, nworld=1, sensors=(), nthread=0):
+        self.config, self.nworld, self.sensors = config, nworld, tuple(sensors)
+        self.scene = build_model(config, self.sensors)  # as it looks
+        model = copy.copy(self.scene)
+        for index in range(model.nmat):  # rays don't see the robot's own paint: a real scanner masks its robot
+            if model.material(index).name.startswith("robot/"):
+                model.mat_rgba[index, 3] = 0.0
+        self.model = model
+        self.batch = mujoco.batch.Batch(model, nworld, nthread)
+        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._ctrl, self._sensordata = self.batch.bind("ctrl"), self.batch.bind("sensordata")
+        self._mocap_pos, self._mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
+        # Sensors are computed once a control step, not in each physics step.
+        self._flags = self.batch.expand("opt.disableflags")
+        self._sensors_on = int(model.opt.disableflags)
+        self._sensors_off = self._sensors_on | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._readers = {sensor.key: sensor.bind(model) for sensor in self.sensors}
+
+        k = config.people
+        self._people = slice(0, 3 * k)
+        self._robot_qpos, self._robot_qvel = slice(3 * k, 3 * k + 7), slice(3 * k, 3 * k + 6)
+        self._robot_ctrl = slice(3 * k, 3 * k + 4)
+        self.layouts = [None] * nworld
+        self.boxes = np.zeros((nworld, model.nmocap, 5))
+        self.people_goals = np.zeros((nworld, k, 2))  # where each heads now: the next waypoint, or the goal
+        self._routes = [[] for _ in range(nworld)]  # for each person, the waypoints after that
+        self._routers, self._rngs = [None] * nworld, [None] * nworld
+        self.seeds = np.zeros(nworld, np.int64)
+        self.lcf = np.zeros((nworld, k))
+        self.goal, self.pose, self.velocity = np.zeros((nworld, 2)), np.zeros((nworld, 3)), np.zeros((nworld, 2))
+        for name in ("start_distance", "distance", "travelled", "time", "nearest_person"):
+            setattr(self, name, np.zeros(nworld))
+        for name in ("steps", "collisions", "collisions_person", "collisions_obstacle", "collisions_wall"):
+            setattr(self, name, np.zeros(nworld, np.int64))
+        self.arrived = np.zeros(nworld, bool)
+        self.readings = {sensor.key: np.zeros((nworld, *sensor.space.shape), np.float32) for sensor in self.sensors}
+        self._decide = self._compile_decision(make_controller(config.pedestrian_model, config.pedestrian_period))
+
+    @property
+    def people(self):
+        """(nworld, K, 3) x, y, yaw [m, m, rad]."""
+        return self._qpos[:, self._people].reshape(self.nworld, -1, 3)
+
+    @property
+    def people_velocity(self):
+        """(nworld, K, 2) [m/s], world frame."""
+        return self._qvel[:, self._people].reshape(self.nworld, -1, 3)[..., :2]
+
+    @property
+    def qpos(self):
+        """(nworld, nq): the whole configuration, for films."""
+        return self._qpos
+
+    def reset(self, ids, seeds):
+        """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
+        ids = np.asarray(ids, dtype=int)
+        rngs = [np.random.default_rng(int(seed)) for seed in seeds]
+        drawn = [spawn(self.config, rng) for rng in rngs]
+        self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        for index, seed, rng, s in zip(ids, seeds, rngs, drawn, strict=True):
+            self.seeds[index], self._rngs[index] = seed, rng
+            self.layouts[index], self._routers[index] = s.layout, Router(s.layout) if s.layout.routed else None
+            boxes = self.boxes[index] = s.layout.boxes
+            self._mocap_pos[index, :, :2] = boxes[:, :2]
+            self._mocap_quat[index] = np.stack(
+                [np.cos(boxes[:, 4] / 2), *np.zeros((2, len(boxes))), np.sin(boxes[:, 4] / 2)], axis=-1
+            )
+            self._qpos[index, self._people] = s.people.ravel()
+            self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
+            self.goal[index], self.lcf[index] = s.goal, s.lcf
+            self._routes[index] = [np.empty((0, 2))] * self.config.people
+            if self.config.people:
+                self._new_goals(index, np.arange(self.config.people))
+            self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
+        for counter in ("travelled", "time", "steps", "collisions"):
+            getattr(self, counter)[ids] = 0
+        for kind in ("person", "obstacle", "wall"):
+            getattr(self, f"collisions_{kind}")[ids] = 0
+        self._sense(ids)
+
+    def step(self, ids, command):
+        """One control step of the worlds `ids`: `command` (n, 2), v [m/s] and w [rad/s], held for the control period."""
+        ids = np.asarray(ids, dtype=int)
+        self._ctrl[ids, self._robot_ctrl] = robot.wheel_speeds(command, self.config.robot)
+        for _ in range(self.config.decisions):
+            for index in ids if self.config.people else ():
+                self._ctrl[index, self._people] = self._command_people(index)
+            before = robot.planar_pose(self._qpos[ids, self._robot_qpos])
+            record = self.batch.rollout(self.config.substeps, record=("qpos",), ids=ids)["qpos"]
+            self._account(ids, before, record)
+            self._advance_people(ids)
+        self.steps[ids] += 1
+        self.time[ids] += self.config.control_period
+        self._sense(ids)
+
+    def _compile_decision(self, controller):
+        """The pedestrians' decision in one world, jitted; the robot is one more disc, last in the state."""
+        k = self.config.people
+
+        def decide(packed, boxes):
+            pose, rate, robot_row, goals, lcf = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k]))
+            pose, rate = pose.reshape(k, 3), rate.reshape(k, 3)
+            position = jnp.concatenate([pose[:, :2], robot_row[None, :2]])
+            state = CrowdState(
+                position,
+                jnp.append(pose[:, 2], robot_row[2]),
+                jnp.concatenate([rate[:, :2], robot_row[None, 3:5]]),
+                jnp.append(rate[:, 2], robot_row[5]),
+                physics.touching(position, boxes),
+            )
+            goals = jnp.concatenate([goals.reshape(k, 2), position[-1:]])
+            return controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k].ravel()
+
+        return jax.jit(decide)
+
+    def _command_people(self, index):
+        qvel = self._qvel[index]
+        robot_qvel = qvel[self._robot_qvel]
+        packed = np.concatenate(
+            [
+                self._qpos[index, self._people],
+                qvel[self._people],
+                robot.planar_pose(self._qpos[index, self._robot_qpos]),
+                robot_qvel[:2],
+                robot_qvel[5:],
+                self.people_goals[index].ravel(),
+                self.lcf[index],
+            ]
+        )
+        return self._decide(packed.astype(np.float32), self.boxes[index].astype(np.float32))
+
+    def _new_goals(self, index, who):
+        """New goals, and ways to them, for the people `who` of a world, from where they stand."""
+        places = self.people[index, who, :2]
+        goals = layout.sample_goals(self._rngs[index], self.layouts[index], places)
+        router = self._routers[index]
+        for person, place, goal in zip(who, places, goals, strict=True):
+            way = goal[None] if router is None else router.path(place, goal)
+            self.people_goals[index, person], self._routes[index][person] = way[0], way[1:]
+
+    def _advance_people(self, ids):
+        """People at their waypoint go on to the next, people at their goal to a new one."""
+        offset = self.people[ids, :, :2] - self.people_goals[ids]
+        there = np.argwhere((offset**2).sum(axis=-1) <= GOAL_RADIUS**2)
+        finished = {}
+        for row, person in there:
+            index = ids[row]
+            route = self._routes[index][person]
+            if len(route):
+                self.people_goals[index, person], self._routes[index][person] = route[0], route[1:]
+            else:
+                finished.setdefault(index, []).append(person)
+        for index, who in finished.items():
+            self._new_goals(index, np.array(who))
+
+    def _account(self, ids, before, qpos):
+        """Adds the physics steps `qpos` (n, s, nq), after the pose `before` (n, 3), to way and collisions."""
+        poses = robot.planar_pose(qpos[..., self._robot_qpos])
+        way = np.diff(np.concatenate([before[:, None], poses], axis=1)[..., :2], axis=1)
+        self.travelled[ids] += np.hypot(way[..., 0], way[..., 1]).sum(axis=-1)
+        person = self._person_gaps(poses, qpos).min(axis=-1, initial=_FAR) <= CONTACT_GAP
+        solid = self._box_contacts(ids, poses)
+        wall, obstacle = solid[..., :4].any(axis=-1), solid[..., 4:].any(axis=-1)
+        self.collisions[ids] += (person | wall | obstacle).sum(axis=-1)
+        self.collisions_person[ids] += person.sum(axis=-1)
+        self.collisions_wall[ids] += wall.sum(axis=-1)
+        self.collisions_obstacle[ids] += obstacle.sum(axis=-1)
+
+    def _person_gaps(self, poses, qpos):
+        """Surface gaps [m] between the robot's footprint at `poses` (..., 3) and the people of `qpos` (..., nq): (..., K)."""
+        people = qpos[..., self._people].reshape(*qpos.shape[:-1], -1, 3)[..., :2]
+        box = robot.footprint(poses, self.config.robot)[..., None, None, :]
+        return geometry.point_box_distance(people, box)[..., 0] - RADIUS
+
+    def _box_contacts(self, ids, poses):
+        """Whether the footprint at `poses` (n, s, 3) touches each box of the worlds `ids`: (n, s, B)."""
+        box = robot.footprint(poses, self.config.robot)
+        boxes = np.broadcast_to(self.boxes[ids][:, None], (*poses.shape[:2], *self.boxes.shape[1:]))
+        reach = np.hypot(self.config.robot.half_length, self.config.robot.half_width) + CONTACT_GAP
+        close = geometry.point_box_distance(poses[..., :2], boxes) <= reach
+        contacts = np.zeros(close.shape, bool)
+        rows, steps, which = np.nonzero(close)
+        if len(rows):
+            gaps = geometry.box_box_gap(box[rows, steps], boxes[rows, steps, which][:, None])[:, 0]
+            contacts[rows, steps, which] = gaps <= CONTACT_GAP
+        return contacts
+
+    def _sense(self, ids):
+        """Makes poses, distances and sensor readings of the worlds `ids` current."""
+        self._flags[ids] = self._sensors_on
+        self.batch.forward(ids)
+        self._flags[ids] = self._sensors_off
+        qpos = self._qpos[ids]
+        robot_qpos = qpos[:, self._robot_qpos]
+        self.pose[ids] = robot.planar_pose(robot_qpos)
+        self.velocity[ids] = robot.planar_velocity(robot_qpos, self._qvel[ids][:, self._robot_qvel])
+        offset = self.goal[ids] - self.pose[ids, :2]
+        self.distance[ids] = np.hypot(offset[:, 0], offset[:, 1])
+        self.arrived[ids] = self.distance[ids] <= GOAL_RADIUS
+        self.nearest_person[ids] = self._person_gaps(self.pose[ids], qpos).min(axis=-1, initial=_FAR)
+        sensordata = self._sensordata[ids]
+        for key, read in self._readers.items():
+            self.readings[key][ids] = read(sensordata)
+
+
+__all__ = ["PHYSICS_STEP", "World", "build_model"]
