@@ -58,7 +58,7 @@ def wheel_speeds(command, config=RobotConfig()):
 def planar_pose(qpos):
     """Pose (..., 3), world frame [m, m, rad], of a free joint's `qpos` (..., 7)."""
     qpos = np.asarray(qpos)
-    w, x, y, z = np.moveaxis(qpos[..., 3:7], -1, 0)
+    w, x, y, z = qpos[..., 3], qpos[..., 4], qpos[..., 5], qpos[..., 6]
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
     return np.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
 

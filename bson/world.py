@@ -18,7 +18,7 @@ from bson.task import TaskConfig, spawn
 from macid import geometry, layout, physics, scene
 from macid.pedestrians import make_controller
 from macid.routing import Router
-from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
+from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 _FAR = np.inf
 
@@ -131,8 +131,8 @@ class World:
         ids = np.asarray(ids, dtype=int)
         self._ctrl[ids, self._robot_ctrl] = robot.wheel_speeds(command, self.config.robot)
         for _ in range(self.config.decisions):
-            for index in ids if self.config.people else ():
-                self._ctrl[index, self._people] = self._command_people(index)
+            if self.config.people:
+                self._command_people(ids)
             before = robot.planar_pose(self._qpos[ids, self._robot_qpos])
             record = self.batch.rollout(self.config.substeps, record=("qpos",), ids=ids)["qpos"]
             self._account(ids, before, record)
@@ -156,26 +156,23 @@ class World:
                 jnp.append(rate[:, 2], robot_row[5]),
                 physics.touching(position, boxes),
             )
-            goals = jnp.concatenate([goals.reshape(k, 2), position[-1:]])
+            ahead = position[-1:] + robot_row[None, 3:5]  # where the robot wants to go, as far as people can tell
+            goals = jnp.concatenate([goals.reshape(k, 2), ahead])
             return controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k].ravel()
 
         return jax.jit(decide)
 
-    def _command_people(self, index):
-        qvel = self._qvel[index]
-        robot_qvel = qvel[self._robot_qvel]
-        packed = np.concatenate(
-            [
-                self._qpos[index, self._people],
-                qvel[self._people],
-                robot.planar_pose(self._qpos[index, self._robot_qpos]),
-                robot_qvel[:2],
-                robot_qvel[5:],
-                self.people_goals[index].ravel(),
-                self.lcf[index],
-            ]
-        )
-        return self._decide(packed.astype(np.float32), self.boxes[index].astype(np.float32))
+    def _command_people(self, ids):
+        """Lets the people of the worlds `ids` decide. The calls overlap: JAX runs them while the next is packed."""
+        qpos, qvel = self._qpos[ids], self._qvel[ids]
+        robot_qvel = qvel[:, self._robot_qvel]
+        pose = robot.planar_pose(qpos[:, self._robot_qpos])
+        rows = [qpos[:, self._people], qvel[:, self._people], pose, robot_qvel[:, :2], robot_qvel[:, 5:]]
+        rows += [self.people_goals[ids].reshape(len(ids), -1), self.lcf[ids]]
+        packed, boxes = np.concatenate(rows, axis=-1).astype(np.float32), self.boxes[ids].astype(np.float32)
+        commands = [self._decide(*row) for row in zip(packed, boxes, strict=True)]
+        for index, command in zip(ids, commands, strict=True):
+            self._ctrl[index, self._people] = command
 
     def _new_goals(self, index, who):
         """New goals, and ways to them, for the people `who` of a world, from where they stand."""
@@ -249,6 +246,3 @@ class World:
         sensordata = self._sensordata[ids]
         for key, read in self._readers.items():
             self.readings[key][ids] = read(sensordata)
-
-
-__all__ = ["PHYSICS_STEP", "World", "build_model"]
