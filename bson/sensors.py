@@ -73,18 +73,26 @@ class Lidar2D:
 
 @dataclasses.dataclass(frozen=True)
 class Imu:
-    """Accelerometer and gyro at the chassis origin.
+    """Accelerometer and gyro at the chassis origin, saturating as a common one does (16 g, 2000 degrees/s).
 
     Reading: (6,) float32: specific force x, y, z [m/s2] (about +9.81 upwards at rest), then angular velocity x, y, z
     [rad/s], robot frame.
     """
 
+    max_force: float = 16 * 9.81  # [m/s2]
+    max_rate: float = math.radians(2000)  # [rad/s]
+
     key = "imu"
+
+    @property
+    def limit(self):
+        """Bounds (6,) of the reading."""
+        return np.repeat(np.array([self.max_force, self.max_rate], np.float32), 3)
 
     @property
     def space(self):
         """The reading's space."""
-        return gymnasium.spaces.Box(-np.inf, np.inf, (6,), np.float32)
+        return gymnasium.spaces.Box(-self.limit, self.limit, dtype=np.float32)
 
     def mount(self, spec, robot="robot"):
         """Nothing to add: the robot's model carries both sensors."""
@@ -93,4 +101,5 @@ class Imu:
         """The reading function for `model`: sensordata (n, nsensordata) -> (n, 6)."""
         names = (f"{robot}/imu_accelerometer", f"{robot}/imu_gyro")
         columns = np.concatenate([model.sensor(name).adr[0] + np.arange(3) for name in names])
-        return lambda sensordata: sensordata[:, columns].astype(np.float32)
+        limit = self.limit
+        return lambda sensordata: np.clip(sensordata[:, columns], -limit, limit).astype(np.float32)

@@ -40,7 +40,7 @@ def build_model(config: TaskConfig, sensors):
 class World:
     """`nworld` worlds. Arrays have a leading axis (nworld,); after `step(ids, ...)` the rows `ids` are current.
 
-    pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m]; start_distance,
+    seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m]; start_distance,
     distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps; arrived: bool;
     people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,); and counts of physics steps (0.02 s) in which the
     robot touched anything (collisions), a person, an obstacle, an outer wall.
@@ -73,7 +73,7 @@ class World:
         self.people_goals = np.zeros((nworld, k, 2))  # where each heads now: the next waypoint, or the goal
         self._routes = [[] for _ in range(nworld)]  # for each person, the waypoints after that
         self._routers, self._rngs = [None] * nworld, [None] * nworld
-        self.seeds = np.zeros(nworld, np.int64)
+        self.seed = np.zeros(nworld, np.int64)
         self.lcf = np.zeros((nworld, k))
         self.goal, self.pose, self.velocity = np.zeros((nworld, 2)), np.zeros((nworld, 3)), np.zeros((nworld, 2))
         for name in ("start_distance", "distance", "travelled", "time", "nearest_person"):
@@ -106,7 +106,7 @@ class World:
         drawn = [spawn(self.config, rng) for rng in rngs]
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         for index, seed, rng, s in zip(ids, seeds, rngs, drawn, strict=True):
-            self.seeds[index], self._rngs[index] = seed, rng
+            self.seed[index], self._rngs[index] = seed, rng
             self.layouts[index], self._routers[index] = s.layout, Router(s.layout) if s.layout.routed else None
             boxes = self.boxes[index] = s.layout.boxes
             self._mocap_pos[index, :, :2] = boxes[:, :2]

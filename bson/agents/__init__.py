@@ -1,0 +1,95 @@
+"""Agents: whatever turns an observation into an action.
+
+An agent is a function `agent(observation) -> action`, or a class whose objects are such functions; a class is
+instantiated once a world, and its `reset(seed)`, if it has one, is called when an episode begins, with the episode's
+seed. observation: the dict of one world (see bson.env.BsonEnv). action: (2,) in [-1, 1].
+"""
+
+import importlib
+import importlib.util
+import inspect
+import pathlib
+
+import numpy as np
+
+BUILT_IN = {
+    "stop": "bson.agents.scripted:stop",
+    "random": "bson.agents.scripted:Random",
+    "goal": "bson.agents.scripted:goal",
+    "vfh": "bson.agents.vfh:Vfh",
+}
+_HELP = f"Choose one of {', '.join(BUILT_IN)}, a 'module:function', or a file 'agent.py[:function]'."
+
+
+class AgentError(ValueError):
+    """An agent can't be found, or did what no agent may do."""
+
+
+def load_agent(name):
+    """The agent `name`: a built-in one, `module:attribute`, or `file.py[:attribute]` (attribute `agent` if not given).
+
+    Returns a factory: called without arguments, it gives a callable for one world. Raises AgentError.
+    """
+    if name in BUILT_IN:
+        return _factory(_from_module(*BUILT_IN[name].split(":"), name), name)
+    module, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
+    if (module or name).endswith(".py"):
+        return _factory(_from_file(module or name, attribute or "agent", name), name)
+    if not attribute:
+        raise AgentError(f"Unknown agent '{name}'. {_HELP}")
+    return _factory(_from_module(module, attribute, name), name)
+
+
+def _from_module(module, attribute, name):
+    try:
+        loaded = importlib.import_module(module)
+    except ImportError as error:
+        raise AgentError(f"Agent '{name}': can't import '{module}' ({error}). {_HELP}") from None
+    return _attribute(loaded, attribute, name)
+
+
+def _from_file(path, attribute, name):
+    if not pathlib.Path(path).is_file():
+        raise AgentError(f"Agent '{name}': there is no file '{path}'. {_HELP}")
+    spec = importlib.util.spec_from_file_location(f"bson_agent_{pathlib.Path(path).stem}", path)
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise AgentError(f"Agent '{name}': running '{path}' failed: {type(error).__name__}: {error}") from error
+    return _attribute(module, attribute, name)
+
+
+def _attribute(module, attribute, name):
+    if not hasattr(module, attribute):
+        there = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
+        raise AgentError(f"Agent '{name}': no '{attribute}' there. There are: {', '.join(there) or 'no callables'}.")
+    found = getattr(module, attribute)
+    if not callable(found):
+        raise AgentError(f"Agent '{name}': '{attribute}' is not callable.")
+    return found
+
+
+def _factory(found, name):
+    if not inspect.isclass(found):
+        return lambda: found
+    try:
+        found()
+    except TypeError as error:
+        raise AgentError(f"Agent '{name}': its class must be constructible without arguments ({error}).") from None
+    return found
+
+
+def act(agent, observation, name="agent"):
+    """The action (2,) float of `agent` for one world's observation, checked. Raises AgentError."""
+    action = agent(observation)
+    try:
+        array = np.asarray(action, dtype=float)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or array.shape != (2,):
+        shape = getattr(array, "shape", type(action).__name__)
+        raise AgentError(f"Agent '{name}' returned {shape}; an action is two numbers in [-1, 1]: speed and yaw rate.")
+    if not np.isfinite(array).all():
+        raise AgentError(f"Agent '{name}' returned {array.tolist()}; an action is two finite numbers in [-1, 1].")
+    return array

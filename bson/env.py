@@ -1,0 +1,252 @@
+"""Gymnasium environments: one world, or many at once on one batch. Both are thin over `Session`."""
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from bson.session import Recorder, Session
+from bson.task import TaskConfig
+from bson.tracks import make_track
+
+ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+_METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+def _check_render_mode(render_mode):
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"Unknown render_mode {render_mode!r}. Choose None or 'rgb_array'.")
+
+
+def _checked_action(action, shape):
+    action = np.asarray(action, dtype=float)
+    if action.shape != shape:
+        raise ValueError(f"An action must have shape {shape}, not {action.shape}.")
+    if not np.isfinite(action).all():
+        raise ValueError(f"An action must be finite, not {action.tolist()}.")
+    return action
+
+
+class BsonEnv(gymnasium.Env):
+    """A Jackal drives to a goal among pedestrians (paper, sec. VI).
+
+    ## Action
+    `Box(-1, 1, (2,), float32)`; zero stands still.
+
+    | | what | at +1 |
+    |---|---|---|
+    | 0 | speed ahead; negative drives back | 2.0 m/s |
+    | 1 | yaw rate, counter-clockwise | 2.0 rad/s |
+
+    ## Observation (Local track, 2D LIDAR)
+    A dict of float32 arrays. The robot frame has x ahead, y to the left.
+
+    | key | shape | what | frame, unit |
+    |---|---|---|---|
+    | goal | (2,) | position of the goal | robot, m |
+    | velocity | (2,) | speed ahead, yaw rate | robot, m/s and rad/s |
+    | imu | (6,) | specific force x, y, z; angular velocity x, y, z | robot, m/s2 and rad/s |
+    | lidar | (720,) | distances from -135 degrees (right) to +135 (left); 30 m where nothing is hit | robot, m |
+
+    ## Reward
+    Eq. 5: 1.0 per metre that the goal came closer, +2.0 at the goal, -1.0 in a control step with any contact.
+
+    ## Episode
+    It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps. `info` has the seed of the
+    episode, time, pose and goal (world frame), start_distance (d_i), distance (d_f), travelled, collisions (steps of
+    0.02 s in contact) and collisions_person, _obstacle, _wall, nearest_person (surface to surface; inf if nobody) and
+    arrived: all that the metrics need.
+
+    ## Arguments
+    The fields of `bson.task.TaskConfig` (num_pedestrians or pedestrian_density, obstacle_density, pedestrian_model,
+    lcf, control_period, horizon, ...) and `seed`, of the first episode when `reset` is given none. `reset(options=...)`
+    takes the same fields; they hold until the next reset. `reset(seed=s)` plays episode s: the same in a vector
+    environment, in any process, bit for bit.
+
+    ## Versions
+    - v0: first version.
+    """
+
+    metadata = _METADATA
+
+    def __init__(self, track="local", sensor="lidar2d", render_mode=None, seed=None, **config):
+        _check_render_mode(render_mode)
+        self.render_mode = render_mode
+        self.config = TaskConfig().replace(**config)
+        self._track = make_track(track, sensor)
+        self._session = Session(self.config, self._track, seeds=[seed])
+        self._first_seed = seed
+        self._film = self._recorder = None
+        self.observation_space = self._track.space(self.config)
+        self.action_space = ACTION_SPACE
+
+    @property
+    def world(self):
+        """The World (nworld = 1), for whoever needs more than the observation."""
+        return self._session.world
+
+    def reset(self, *, seed=None, options=None):
+        """Begins an episode; see the class."""
+        super().reset(seed=seed)
+        self._session.configure(self.config.replace(**(options or {})))
+        seed = self._first_seed if seed is None else seed
+        self._first_seed = None
+        if seed is not None:
+            self._session.reseed([0], [seed])
+        else:
+            (seed,) = self._session.next_seeds([0])
+        observation = self._session.reset([0], [seed])
+        if self.render_mode is not None:
+            self._recorder, self._film = Recorder(self._session, 0), None
+        return _first(observation), self._info()
+
+    def step(self, action):
+        """One control step; see the class."""
+        action = _checked_action(action, (2,))
+        observation, reward, terminated, truncated = self._session.step([0], action[None])
+        if self.render_mode is not None:
+            self._recorder.snap()
+        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+
+    def render(self):
+        """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
+        if self.render_mode is None or self._recorder is None:
+            return None
+        from bson.film import Film
+
+        if self._film is None:
+            self._film = Film(self.world.scene)
+        return self._film.frame(self._recorder.episode(), -1)
+
+    def _info(self):
+        return {name: value[0] for name, value in self._session.info([0]).items()}
+
+
+class BsonVectorEnv(gymnasium.vector.VectorEnv):
+    """`num_envs` worlds of `BsonEnv` on one MuJoCo batch, threaded by MuJoCo itself; no subprocesses.
+
+    Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
+    gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled".
+    """
+
+    metadata = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        num_envs=1,
+        track="local",
+        sensor="lidar2d",
+        render_mode=None,
+        seed=None,
+        autoreset_mode=AutoresetMode.NEXT_STEP,
+        nthread=0,
+        **config,
+    ):
+        if render_mode is not None:
+            raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, not {num_envs}.")
+        self.num_envs, self.render_mode = num_envs, None
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.config = TaskConfig().replace(**config)
+        track = make_track(track, sensor)
+        self._first_seed = seed
+        self._session = Session(self.config, track, num_envs, self._seeds(seed), nthread)
+        self._all = np.arange(num_envs)
+        self._ended = np.zeros(num_envs, bool)
+        self.single_observation_space, self.single_action_space = track.space(self.config), ACTION_SPACE
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+
+    @property
+    def world(self):
+        """The World, for whoever needs more than the observation."""
+        return self._session.world
+
+    def _seeds(self, seed):
+        if seed is None:
+            return [None] * self.num_envs
+        seeds = [seed + index for index in range(self.num_envs)] if np.ndim(seed) == 0 else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"reset needs a seed, or {self.num_envs} of them, not {len(seeds)}.")
+        return seeds
+
+    def reset(self, *, seed=None, options=None):
+        """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if mask is None:
+            ids = self._all
+            self._session.configure(self.config.replace(**options))
+        else:
+            if options:
+                raise ValueError("Options other than reset_mask are for a reset of all worlds.")
+            ids = np.flatnonzero(mask)
+        if seed is None and self._first_seed is not None:
+            seed = self._first_seed
+        self._first_seed = None
+        given = self._seeds(seed)
+        for index in ids:
+            if given[index] is not None:
+                self._session.reseed([index], [given[index]])
+        seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
+        self._session.reset(ids, seeds)
+        self._ended[ids] = False
+        return self._session.observe(self._all), self._infos(self._all)
+
+    def step(self, actions):
+        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next instead."""
+        actions = _checked_action(actions, (self.num_envs, 2))
+        reward = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
+            raise ValueError("Reset the worlds whose episodes ended (options={'reset_mask': ...}) before stepping.")
+        going, ended = np.flatnonzero(~self._ended), np.flatnonzero(self._ended)
+        extra = {}
+        if len(going):
+            _, reward[going], terminated[going], truncated[going] = self._session.step(going, actions[going])
+        if len(ended):
+            self._session.reset(ended, self._session.next_seeds(ended))
+        self._ended = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            done = np.flatnonzero(self._ended)
+            extra = self._final(done)
+            self._session.reset(done, self._session.next_seeds(done))
+            self._ended[:] = False
+        return self._session.observe(self._all), reward, terminated, truncated, {**self._infos(self._all), **extra}
+
+    def _infos(self, ids):
+        present = np.zeros(self.num_envs, bool)
+        present[ids] = True
+        info = self._session.info(ids)
+        return {**info, **{f"_{name}": present.copy() for name in info}}
+
+    def _final(self, ids):
+        """Gymnasium's `final_obs` and `final_info` of the worlds `ids`, before they are reset."""
+        observation, info = self._session.observe(self._all), self._session.info(self._all)
+        present = np.zeros(self.num_envs, bool)
+        present[ids] = True
+        final = np.empty(self.num_envs, object)
+        for index in ids:
+            final[index] = {name: value[index] for name, value in observation.items()}
+        masked = {f"_{name}": present.copy() for name in info}
+        return {"final_obs": final, "_final_obs": present, "final_info": {**info, **masked}, "_final_info": present.copy()}
+
+
+def _first(observation):
+    return {name: value[0] for name, value in observation.items()}
+
+
+ENVIRONMENTS = {"BSON/LocalLidar2D-v0": {"track": "local", "sensor": "lidar2d"}}
+
+
+def register():
+    """Makes the environments known to Gymnasium."""
+    for name, kwargs in ENVIRONMENTS.items():
+        gymnasium.register(
+            name,
+            entry_point="bson.env:BsonEnv",
+            vector_entry_point="bson.env:BsonVectorEnv",
+            kwargs=kwargs,
+        )

@@ -1,0 +1,94 @@
+"""An agent on many episodes at once: their records, and the results file."""
+
+import dataclasses
+import math
+import platform
+import sys
+from importlib import metadata
+
+import numpy as np
+
+from bson.agents import act
+from bson.metrics import PARTS, measure, summarise
+from bson.session import Recorder, Session
+
+BATCH = 16  # worlds at once
+
+
+def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=None, batch=BATCH, nthread=0):
+    """Plays the episodes `seeds`; returns their Episodes in that order.
+
+    make_agent: gives a callable for one world (see bson.agents). progress: called after each control step of the batch
+    with (control steps done, Episode or None) for each episode that ended, and (steps, None) otherwise. An episode
+    does not depend on which others run beside it.
+    """
+    nworld = min(batch, len(seeds))
+    session = Session(config, track, nworld, nthread=nthread)
+    agents = [make_agent() for _ in range(nworld)]
+    waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
+    observations = {}
+
+    def begin(index):
+        if not waiting:
+            playing.pop(index, None)
+            return
+        playing[index], seed = waiting.pop(0)
+        observation = session.reset([index], [seed])
+        if hasattr(agents[index], "reset"):
+            agents[index].reset(seed)
+        recorders[index] = Recorder(session, index)
+        observations[index] = {name: value[0] for name, value in observation.items()}
+
+    for index in range(nworld):
+        begin(index)
+    while playing:
+        ids = sorted(playing)
+        actions = np.stack([act(agents[index], observations[index], agent_name) for index in ids])
+        observation, _, terminated, truncated = session.step(ids, actions)
+        for row, index in enumerate(ids):
+            recorders[index].snap()
+            observations[index] = {name: value[row] for name, value in observation.items()}
+            ended = terminated[row] or truncated[row]
+            if ended:
+                done[playing[index]] = recorders[index].episode()
+            if progress:
+                progress(1, done[playing[index]] if ended else None)
+            if ended:
+                begin(index)
+    return [done[number] for number in range(len(seeds))]
+
+
+def results(agent, suite, config, episodes, **more):
+    """The content of results.json. Numbers that are not finite (no people: nearest_person) become null."""
+    measured = [measure(episode) for episode in episodes]
+    summary = summarise(measured)
+    rest = [name for name in summary if name not in PARTS]
+    return {
+        "agent": agent,
+        "suite": suite,
+        "config": dataclasses.asdict(config),
+        "versions": versions(),
+        "summary": {name: summary[name]["mean"] for name in (*PARTS, *rest)},
+        "intervals": {name: [summary[name]["low"], summary[name]["high"]] for name in (*PARTS, *rest)},
+        "episodes": [
+            {"seed": episode.seed, **{name: value if math.isfinite(value) else None for name, value in row.items()}}
+            for episode, row in zip(episodes, measured, strict=True)
+        ],
+        **more,
+    }
+
+
+def versions():
+    """What the results were made with."""
+    packages = ("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
+    return {**{name: metadata.version(name) for name in packages}, "python": platform.python_version(), "os": sys.platform}
+
+
+def format_summary(content):
+    """The score and its parts as plain text."""
+    count = len(content["episodes"])
+    lines = [f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"]
+    for name, value in content["summary"].items():
+        low, high = content["intervals"][name]
+        lines.append(f"  {name:<16}{value:>9.3f}   [{low:.3f}, {high:.3f}]")
+    return "\n".join(lines)

@@ -1,0 +1,114 @@
+"""Episodes on worlds: actions in, observations, rewards and ends out. Every interface and the evaluation stand on this."""
+
+import numpy as np
+
+from bson.metrics import Episode
+from bson.task import TaskConfig
+from bson.world import World
+from macid.reward import individual_reward
+
+INFO = (
+    "seed",
+    "time",
+    "pose",
+    "goal",
+    "start_distance",
+    "distance",
+    "travelled",
+    "collisions",
+    "collisions_person",
+    "collisions_obstacle",
+    "collisions_wall",
+    "nearest_person",
+    "arrived",
+)
+
+
+class Session:
+    """`nworld` worlds of one configuration and track, each in its own episode."""
+
+    def __init__(self, config: TaskConfig, track, nworld=1, seeds=None, nthread=0):
+        """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come."""
+        self.track, self.nworld, self._nthread = track, nworld, nthread
+        self._worlds = {}
+        self.configure(config)
+        self._streams = [None] * nworld
+        self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
+
+    def configure(self, config: TaskConfig):
+        """Changes the setting of all worlds; they need a reset then. Models of earlier settings are kept."""
+        if config not in self._worlds:
+            if len(self._worlds) >= 4:
+                self._worlds.pop(next(iter(self._worlds)))
+            self._worlds[config] = World(config, self.nworld, self.track.sensors, self._nthread)
+        self.config, self.world = config, self._worlds[config]
+
+    def reseed(self, ids, seeds):
+        """Begins the seed streams of the worlds `ids` anew."""
+        for index, seed in zip(ids, seeds, strict=True):
+            self._streams[index] = np.random.default_rng(None if seed is None else (0x50C1A1, seed))
+
+    def next_seeds(self, ids):
+        """The seeds of the next episodes of the worlds `ids`, from their streams."""
+        return [int(self._streams[index].integers(2**31)) for index in ids]
+
+    def reset(self, ids, seeds):
+        """A new episode in each of the worlds `ids`, from its seed; returns their observations."""
+        self.world.reset(ids, seeds)
+        return self.observe(ids)
+
+    def observe(self, ids):
+        """Observations of the worlds `ids`: a dict of arrays with a leading axis (len(ids),)."""
+        return self.track.observe(self.world, np.asarray(ids))
+
+    def step(self, ids, action):
+        """One control step of the worlds `ids` under `action` (n, 2) in [-1, 1]: shares of the top speed and yaw rate.
+
+        Returns observations, reward (n,), terminated (n,), truncated (n,). The reward is eq. 5's: the distance is the
+        metres that the goal came closer in this step, a collision any contact during it.
+        """
+        world, config = self.world, self.config
+        limit = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
+        distance, collisions = world.distance[ids].copy(), world.collisions[ids].copy()
+        world.step(ids, np.clip(action, -1.0, 1.0) * limit)
+        arrived = world.arrived[ids].copy()
+        collided = world.collisions[ids] > collisions
+        reward = individual_reward(distance - world.distance[ids], arrived, collided, config.reward)
+        return self.observe(ids), reward, arrived, (world.steps[ids] >= config.horizon) & ~arrived
+
+    def info(self, ids):
+        """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies. See World."""
+        return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}
+
+
+class Recorder:
+    """Writes down the episode of one world of a session, from its reset on: `snap()` after the reset and each step."""
+
+    def __init__(self, session, index):
+        self._world, self._index = session.world, index
+        self._rows = {name: [] for name in ("pose", "velocity", "people", "qpos", "nearest_person")}
+        self.snap()
+
+    def snap(self):
+        """Appends the world's present."""
+        for name, rows in self._rows.items():
+            rows.append(np.array(getattr(self._world, name)[self._index]))
+
+    def episode(self):
+        """The Episode so far."""
+        world, index = self._world, self._index
+        counts = {name: int(getattr(world, name)[index]) for name in INFO if name.startswith("collisions")}
+        return Episode(
+            seed=int(world.seed[index]),
+            start_distance=float(world.start_distance[index]),
+            final_distance=float(world.distance[index]),
+            travelled=float(world.travelled[index]),
+            duration=float(world.time[index]),
+            arrived=bool(world.arrived[index]),
+            **counts,
+            goal=world.goal[index].copy(),
+            boxes=world.boxes[index].copy(),
+            lcf=world.lcf[index].copy(),
+            period=world.config.control_period,
+            **{name: np.array(rows) for name, rows in self._rows.items()},
+        )
