@@ -20,6 +20,8 @@ def _evaluate(args):
         raise UsageError(f"--episodes must be at least 1, not {args.episodes}.")
     config = CrowdConfig(period=args.period, lcf=tuple(args.lcf))
     out = pathlib.Path(args.out)
+    if out.is_dir():
+        raise UsageError(f"--out '{out}' is a folder. Name a JSON file.")
     output_folder(out.parent)
     rows = []
     for level in args.levels:

@@ -26,9 +26,9 @@ class CrowdConfig:
     def __post_init__(self):
         if self.number < 1:
             raise ValueError(f"A crowd needs at least one person, not {self.number}.")
-        if self.substeps < 1 or abs(self.substeps * PHYSICS_STEP - self.period) > 1e-9:
+        if not np.isfinite(self.period) or self.substeps < 1 or abs(self.substeps * PHYSICS_STEP - self.period) > 1e-9:
             raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
-        if not self.lcf[0] <= self.lcf[1]:
+        if not -np.inf < self.lcf[0] <= self.lcf[1] < np.inf:
             raise ValueError(f"lcf must be a range (least, most), not {self.lcf}.")
 
     @property

@@ -4,6 +4,7 @@ The origin is the centre of the map. A layout is frozen; whatever is drawn comes
 """
 
 import dataclasses
+import numbers
 import tomllib
 
 import numpy as np
@@ -40,11 +41,19 @@ class Layout:
     name: str = "layout"
 
     def __post_init__(self):
-        obstacles = np.asarray(self.obstacles, dtype=float).reshape(-1, len(geometry.BOX_COLUMNS))
-        if not self.size > 0:
-            raise ValueError(f"A layout's size must be positive, not {self.size}.")
+        if not isinstance(self.size, numbers.Real) or not 0 < self.size < np.inf:
+            raise ValueError(f"A layout's size must be positive, not {self.size!r}.")
+        wanted = f"Layout '{self.name}': obstacles need finite rows {geometry.BOX_COLUMNS}, halves above 0."
+        try:
+            obstacles = np.array(self.obstacles, dtype=float)  # a copy: the caller's array stays the caller's
+        except (TypeError, ValueError):
+            raise ValueError(wanted) from None
+        if not obstacles.size:
+            obstacles = obstacles.reshape(0, len(geometry.BOX_COLUMNS))
+        if obstacles.ndim != 2 or obstacles.shape[1] != len(geometry.BOX_COLUMNS):
+            raise ValueError(wanted)
         if not np.isfinite(obstacles).all() or (obstacles[:, 2:4] <= 0).any():
-            raise ValueError(f"Layout '{self.name}': obstacles need finite rows {geometry.BOX_COLUMNS}, halves above 0.")
+            raise ValueError(wanted)
         obstacles.flags.writeable = False
         object.__setattr__(self, "obstacles", obstacles)
 

@@ -27,11 +27,14 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
 def lines_are_free(start, goals, boxes, radius=RADIUS):
     """Whether a disc of `radius` [m] can move straight from `start` (2,) to each of `goals` (M, 2) among `boxes` (B, 5).
 
-    Boxes grow by the radius on each side, which is a little strict at their corners.
+    Boxes grow by the radius on each side, which is a little strict at their corners. A box that `start` is closer to
+    grows up to `start` only, so that it still bars the way through it, but not the way along it or away from it.
     """
     step = goals - start
     length = np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
-    grown = boxes + np.array([0.0, 0.0, radius, radius, 0.0])
+    beyond = (np.abs(geometry.in_box_frame(start, boxes)) - boxes[:, 2:4]).max(axis=-1)
+    grown = boxes.copy()
+    grown[:, 2:4] += np.clip(beyond - 1e-9, 0.0, radius)[:, None]
     distance = geometry.ray_box_distance(start, step / length[:, None], grown)
     return (distance >= length[:, None]).all(axis=-1)
 

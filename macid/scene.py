@@ -26,7 +26,7 @@ _PROXY_HEIGHT = 0.5  # of the sphere's centre: below every wall's top [m]
 
 FLOOR_RGBA = (0.80, 0.81, 0.82, 1.0)
 WALL_RGBA = (0.93, 0.93, 0.91, 1.0)
-OBSTACLE_RGBA = (0.72, 0.26, 0.22, 1.0)
+OBSTACLE_RGBA = (0.60, 0.54, 0.47, 1.0)
 PERSON_RGBA = (0.36, 0.62, 0.40, 1.0)
 
 
@@ -53,8 +53,8 @@ def base_spec(size):
     spec.visual.map.zfar = 4.0 * size / (size / 2)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.quality.shadowsize = 4096
-    spec.visual.headlight.ambient = [0.42, 0.42, 0.44]
-    spec.visual.headlight.diffuse = [0.28, 0.28, 0.28]
+    spec.visual.headlight.ambient = [0.48, 0.48, 0.50]
+    spec.visual.headlight.diffuse = [0.30, 0.30, 0.30]
     spec.visual.headlight.specular = [0.05, 0.05, 0.05]
     spec.add_texture(
         name="sky",
@@ -70,9 +70,9 @@ def base_spec(size):
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.76, 0.77, 0.78],
-        rgb2=[0.80, 0.81, 0.82],
-        markrgb=[0.70, 0.71, 0.72],
+        rgb1=[0.60, 0.61, 0.62],
+        rgb2=[0.65, 0.66, 0.67],
+        markrgb=[0.53, 0.54, 0.55],
         width=256,
         height=256,
     )
@@ -88,7 +88,7 @@ def base_spec(size):
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[0, 0, size],
         dir=[0.35, 0.25, -0.9],
-        diffuse=[0.55, 0.54, 0.50],
+        diffuse=[0.46, 0.45, 0.42],
         specular=[0.1, 0.1, 0.1],
         castshadow=True,
     )
@@ -171,6 +171,7 @@ def add_boxes(spec, boxes, movable=False):
             material="wall" if index < 4 else "obstacle",
             contype=WALL_CONTACT[0],
             conaffinity=WALL_CONTACT[1],
+            friction=[0.0, 0.005, 0.0001],  # MuJoCo takes the greater of a pair's: that of whoever touches the box
         )
 
 

@@ -81,8 +81,14 @@ def _factory(found, name):
 
 
 def act(agent, observation, name="agent"):
-    """The action (2,) float of `agent` for one world's observation, checked. Raises AgentError."""
-    action = agent(observation)
+    """The action (2,) float of `agent` for one world's observation, checked.
+
+    Raises AgentError for what is no action, and RuntimeError, from the cause, where the agent itself fails.
+    """
+    try:
+        action = agent(observation)
+    except Exception as error:
+        raise RuntimeError(f"Agent '{name}' raised {type(error).__name__}: {error}") from error
     try:
         array = np.asarray(action, dtype=float)
     except (TypeError, ValueError):

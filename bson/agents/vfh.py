@@ -1,28 +1,366 @@
-"""A reactive avoider on the 2D LIDAR, of the vector field histogram kind (VFH+, Ulrich and Borenstein 1998)."""
+"""A reactive avoider on the 2D LIDAR: VFH+ among walls, extended to people who walk.
+
+The base is VFH+ (Ulrich and Borenstein, "VFH+: Reliable obstacle avoidance for fast mobile robots", ICRA 1998): the
+scan becomes a polar histogram of nearest obstacles, enlarged by the robot's radius, and a cost over candidate
+directions (deviation from the goal, from the last choice, and how far the way is free) gives the direction to steer
+to. Two things are added.
+
+- People. The scan is cut into objects; those that fit a disc of a person's radius are tracked from scan to scan, which
+  gives their velocities, and are remembered for a while where the scanner can't see. Candidate motions (a direction to
+  turn to, at a speed) are rolled out with the robot's own dynamics and judged by the gaps that they leave to walls
+  and to the predicted people.
+- Dead ends. Where no direction leads closer to the goal, the wall in the way is followed until the goal is in
+  sight from a place closer to it than where that began (as in TangentBug, Kamon et al. 1998).
+
+Only the observation is used: the goal, the velocity and the LIDAR.
+"""
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from bson.robot import RobotConfig
+from bson.sensors import Lidar2D
+
+
+@dataclass(frozen=True)
+class VfhConfig:
+    """What `Vfh` assumes and weighs. Metres, seconds, radians; weights have no unit."""
+
+    period: float = 0.1  # between two calls
+    mount: float = 0.12  # of the LIDAR ahead of the robot's centre
+    radius: float = 0.31  # of the disc around the robot's footprint
+    acceleration: float = 6.5  # that the tyres give [m/s2]
+    turn_time: float = 0.25  # in which a small change of direction is to be done
+    turn_lag: float = 0.1  # before the robot turns
+
+    # histogram
+    sector_beams: int = 10  # beams of a sector of the histogram
+    clearance: float = 0.45  # half the width that a free way has
+    lookahead: float = 6.0  # farther than this nothing blocks
+    blocked_weight: float = 2.5  # of a way's blocked share, against radians off the goal
+    keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
+    follow_beyond: float = 1.3  # off the goal: who has to turn this far follows the wall
+    follow_free: float = 2.0  # way that is free enough along a followed wall
+    follow_gain: float = 0.5  # that following must have brought to end
+
+    # people
+    person_radius: float = 0.35
+    person_range: float = 9.0  # within which people are looked for
+    person_beams: int = 4  # that an object must have to be a person
+    person_error: float = 0.025  # that a person's outline may be off a circle, root mean square
+    object_jump: float = 0.25  # between neighbouring beams' ranges that parts two objects
+    match_distance: float = 0.4  # between where a person is expected and seen
+    velocity_gain: float = 0.4  # of a new velocity in the estimate, at least
+    memory: float = 2.0  # how long an unseen person is believed in
+
+    # motions
+    horizon: float = 2.6
+    step: float = 0.2  # of a motion's rollout
+    speeds: tuple = (0.0, 0.6, 1.2, 1.6, 2.0)  # ahead [m/s]
+    directions: tuple = (0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 58.0, 80.0, 110.0)  # to either side [deg]
+    back_speeds: tuple = (-0.7, -1.5)  # [m/s]
+    back_directions: tuple = (0.0, 25.0, 60.0)  # to either side [deg]
+    person_gap: float = 0.7  # to a person, below which a motion costs
+    wall_gap: float = 0.35  # to a wall, below which a motion costs
+    patience: float = 1.2  # time constant with which what comes later counts less
+    person_weight: float = 1.0  # of gaps to people, against progress (1: full speed to the target)
+    wall_weight: float = 1.5  # of gaps to walls
+    heading_weight: float = 0.05  # of ending up turned away from the target
+    change_weight: float = 0.04  # of leaving the last motion's direction
+    back_weight: float = 0.1  # of driving back, where nothing is seen
+
 
 class Vfh:
-    """Placeholder to be replaced."""
+    """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
+
+    def __init__(self, config=VfhConfig(), lidar=Lidar2D(), robot=RobotConfig()):
+        self.config, self._limit = config, np.array([robot.max_speed, robot.max_yaw_rate])
+        self._angles = lidar.angles
+        self._beam_directions = _unit(lidar.angles)
+        self._prepare_motions()
+        self.reset()
+
+    def reset(self, seed=None):
+        """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
+        self._yaw, self._goal, self._rate = 0.0, None, 0.0
+        self._position = np.zeros(2)  # of the robot, in a frame that has the goal at 0 and the first yaw
+        self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
+        self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
+        self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
+        self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation):
-        scan = observation["lidar"].astype(float)
-        n = len(scan)
-        angles = np.linspace(-np.deg2rad(135), np.deg2rad(135), n)
-        x, y = observation["goal"]
-        bearing = np.arctan2(y, x)
-        near = scan < 4.0
-        half = np.arcsin(np.clip(0.65 / np.maximum(scan, 0.66), 0, 1))
-        candidates = np.linspace(-2.2, 2.2, 89)
-        clear = np.full(len(candidates), 4.0)
-        if near.any():
-            delta = np.abs(candidates[:, None] - angles[near][None])
-            hit = delta <= half[near][None]
-            clear = np.where(hit, scan[near][None], 4.0).min(axis=1)
-        cost = np.abs(candidates - bearing) + 2.0 * (4.0 - clear)
+        goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
+        scan = np.asarray(observation["lidar"], float)
+        self._localise(goal, velocity)
+        centres, beams = self._find_people(scan)
+        self._track(centres @ self._rotation.T + self._position, scan)
+        walls = self._walls(scan, beams)
+        target = self._steer(goal, walls)
+        return self._move(target, velocity, walls)
+
+    @property
+    def people(self):
+        """Positions and velocities (n, 2) of the people believed in, robot frame's axes [m, m/s]."""
+        return (self._seen_at - self._position) @ self._rotation, self._seen_velocity @ self._rotation
+
+    # --- where the robot is
+
+    def _localise(self, goal, velocity):
+        """Updates yaw and position from how the goal's position changed; near the goal from the yaw rate."""
+        if self._goal is not None:
+            way = velocity[0] * self.config.period
+            turn = (self._rate + velocity[1]) / 2 * self.config.period
+            if np.hypot(*goal) > 1.0:
+                before = self._goal - way * np.array([math.cos(turn / 2), math.sin(turn / 2)])
+                turn = _wrap(math.atan2(before[1], before[0]) - math.atan2(goal[1], goal[0]))
+            self._yaw += turn
+        self._goal, self._rate = goal, velocity[1]
+        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        self._rotation = np.array([[c, -s], [s, c]])
+        self._position = -self._rotation @ goal
+
+    # --- people
+
+    def _find_people(self, scan):
+        """Centres (n, 2) [m] of person-like objects, robot frame, and which beams (beams,) meet them."""
+        c = self.config
+        beams = np.flatnonzero(scan < c.person_range)
+        met = np.zeros(len(scan), bool)
+        if len(beams) < c.person_beams:
+            return np.zeros((0, 2)), met
+        ranges = scan[beams]
+        parted = (np.diff(beams) > 1) | (np.abs(np.diff(ranges)) > c.object_jump)
+        starts = np.concatenate([[0], np.flatnonzero(parted) + 1])
+        counts = np.diff(np.append(starts, len(beams)))
+        points = ranges[:, None] * self._beam_directions[beams]
+        first, last = points[starts], points[starts + counts - 1]
+        size = np.hypot(*(last - first).T)
+        likely = (counts >= c.person_beams) & (size < 2.1 * c.person_radius)
+        if not likely.any():
+            return np.zeros((0, 2)), met
+        chosen = np.repeat(likely, counts)
+        beams, points, counts = beams[chosen], points[chosen], counts[likely]
+        centres, error = self._fit_circles(points, self._angles[beams], counts)
+        person = error < c.person_error
+        met[beams[np.repeat(person, counts)]] = True
+        return centres[person] + [c.mount, 0.0], met
+
+    def _fit_circles(self, points, angles, counts):
+        """Least-squares centres (n, 2) of circles of a person's radius, and the root-mean-square errors (n,) [m].
+
+        points (m, 2): objects of `counts` (n,) points, one after the other; angles (m,): their beams'. Three
+        Gauss-Newton steps from a disc that is seen whole.
+        """
+        radius = self.config.person_radius
+        starts = np.cumsum(counts) - counts
+        middle = (angles[starts] + angles[starts + counts - 1]) / 2
+        nearest = np.minimum.reduceat(np.hypot(points[:, 0], points[:, 1]), starts)
+        centres = (nearest + radius)[:, None] * _unit(middle)
+        for _ in range(3):
+            offset = points - np.repeat(centres, counts, axis=0)
+            length = np.hypot(offset[:, 0], offset[:, 1])
+            error = length - radius
+            ux, uy = offset.T / length
+            rows = np.stack([ux * ux, ux * uy, uy * uy, ux * error, uy * error, error * error])
+            xx, xy, yy, bx, by, squared = np.add.reduceat(rows, starts, axis=1)
+            xx, yy = xx + 1e-3 * counts, yy + 1e-3 * counts
+            determinant = xx * yy - xy * xy
+            centres = centres + np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[:, None]
+        return centres, np.sqrt(squared / counts)
+
+    def _track(self, seen, scan):
+        """Matches the people `seen` (n, 2), goal-bound frame, with those believed in, and updates these."""
+        c = self.config
+        expected = self._seen_at + self._seen_velocity * c.period
+        old, new = _match(expected, seen, c.match_distance)
+        sightings = self._sightings[old] + 1
+        measured = (seen[new] - self._seen_at[old]) / c.period
+        gain = np.maximum(1.0 / np.maximum(sightings - 1, 1), c.velocity_gain)[:, None]
+        gain = np.where(self._unseen[old, None] > 0, 0.0, gain)
+        velocity = self._seen_velocity[old] + gain * (measured - self._seen_velocity[old])
+
+        lost = np.ones(len(expected), bool)
+        lost[old] = False
+        lost &= self._unseen * c.period < c.memory
+        lost &= self._hidden(expected, scan) | (self._unseen < 2)
+        fresh = np.ones(len(seen), bool)
+        fresh[new] = False
+        count = int(fresh.sum())
+        self._seen_at = np.concatenate([seen[new], expected[lost], seen[fresh]])
+        self._seen_velocity = np.concatenate([velocity, self._seen_velocity[lost], np.zeros((count, 2))])
+        self._sightings = np.concatenate([sightings, self._sightings[lost], np.ones(count, int)])
+        self._unseen = np.concatenate([np.zeros(len(old), int), self._unseen[lost] + 1, np.zeros(count, int)])
+
+    def _hidden(self, places, scan):
+        """Whether the scanner can't see each of `places` (n, 2), goal-bound frame."""
+        offset = (places - self._position) @ self._rotation - [self.config.mount, 0.0]
+        angle, distance = np.arctan2(offset[:, 1], offset[:, 0]), np.hypot(offset[:, 0], offset[:, 1])
+        edge = self._angles[-1]
+        beam = np.clip(np.rint((angle + edge) / (2 * edge) * (len(scan) - 1)), 0, len(scan) - 1).astype(int)
+        return (np.abs(angle) > edge) | (scan[beam] < distance + self.config.person_radius)
+
+    # --- walls
+
+    def _walls(self, scan, people_beams):
+        """The nearest point (sectors, 2) [m] in each sector of the scan without people, robot frame."""
+        if people_beams.any():
+            rest = np.flatnonzero(~people_beams)
+            scan = np.interp(np.arange(len(scan)), rest, scan[rest]) if len(rest) else scan
+        sectors = scan.reshape(-1, self.config.sector_beams)
+        nearest = sectors.argmin(axis=1) + np.arange(len(sectors)) * self.config.sector_beams
+        return scan[nearest, None] * self._beam_directions[nearest] + [self.config.mount, 0.0]
+
+    def _steer(self, goal, walls):
+        """The point (2,) [m] to drive to, robot frame: the goal, or one in the direction of least cost."""
+        c = self.config
+        distance, bearing = np.hypot(*goal), math.atan2(goal[1], goal[0])
+        reach = min(distance, c.lookahead)
+        directions = np.concatenate([[bearing], np.arctan2(walls[:, 1], walls[:, 0])])
+        free = self._free_way(directions, walls)
+        if abs(bearing) > self._angles[-1]:
+            free[0] = free[0] if self._follow is None else 0.0
+        in_sight = free[0] >= reach - 0.2
+        if self._follow is not None and in_sight and distance < self._follow[1] - c.follow_gain:
+            self._follow = None
+        if self._follow is None:
+            if in_sight:
+                self._steered = self._yaw + bearing
+                return goal
+            direction = self._least_cost(directions, free, bearing, reach)
+            off = _wrap(direction - bearing)
+            if abs(off) > c.follow_beyond:
+                self._follow = (1.0 if off > 0 else -1.0, distance)
+        else:
+            direction = self._along_wall(directions[1:], free[1:], walls)
+        self._steered = self._yaw + direction
+        return c.lookahead * np.array([math.cos(direction), math.sin(direction)])
+
+    def _free_way(self, directions, walls):
+        """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] until it meets a wall."""
+        ux, uy = _unit(directions).T
+        along = ux[:, None] * walls[:, 0] + uy[:, None] * walls[:, 1]
+        across = ux[:, None] * walls[:, 1] - uy[:, None] * walls[:, 0]
+        reach = np.minimum(self.config.clearance, 0.95 * np.hypot(*walls.T))  # who is too close can still turn away
+        depth = reach**2 - across**2
+        meets = (depth > 0) & (along > 0)
+        return np.where(meets, along - np.sqrt(np.maximum(depth, 0.0)), 30.0).min(axis=1)
+
+    def _least_cost(self, directions, free, bearing, reach):
+        """VFH+: the direction [rad] of least cost."""
+        c = self.config
+        off_goal = np.abs(_wrap(directions - bearing))
+        off_last = np.abs(_wrap(directions + self._yaw - self._steered))
+        blocked = 1.0 - np.minimum(free, reach) / reach
+        return directions[np.argmin(off_goal + c.keep_weight * off_last + c.blocked_weight * blocked)]
+
+    def _along_wall(self, directions, free, walls):
+        """The first free direction [rad], sweeping from the followed wall away from it."""
+        side = self._follow[0]
+        order = np.argsort(side * directions)
+        directions, free = directions[order], free[order]
+        distance = np.where(side * directions < 0.3, np.hypot(*walls[order].T), np.inf)
+        swept = np.arange(len(directions)) >= np.argmin(distance)
+        usable = np.flatnonzero(swept & (free >= self.config.follow_free))
+        return directions[usable[0]] if len(usable) else directions[-1]
+
+    # --- motions
+
+    def _prepare_motions(self):
+        """Candidate motions: speeds (n,) [m/s], directions (n,) [rad], and headings' unit vectors (n, T, 2) on the way."""
+        c = self.config
+        ahead = [math.radians(sign * d) for d in c.directions for sign in ((1, -1) if d else (1,))]
+        back = [math.radians(sign * d) for d in c.back_directions for sign in ((1, -1) if d else (1,))]
+        pairs = [(v, d) for v in c.speeds for d in ahead] + [(v, d) for v in c.back_speeds for d in back]
+        self._speeds, self._directions = np.array(pairs).T
+        rate = np.clip(self._directions / c.turn_time, -self._limit[1], self._limit[1])
+        self._rates = rate
+        self._times = c.step * np.arange(1, round(c.horizon / c.step) + 1)
+        turned = np.maximum(self._times - c.step / 2 - c.turn_lag, 0.0) * np.abs(rate)[:, None]
+        heading = np.sign(self._directions)[:, None] * np.minimum(turned, np.abs(self._directions)[:, None])
+        self._headings = _unit(heading)
+        self._discount = np.exp(-self._times / c.patience)
+        self._discount /= self._discount.sum()
+
+    def _rollout(self, speed):
+        """Where (2, n, T) [m] the candidate motions lead from the present `speed` [m/s], robot frame."""
+        c = self.config
+        change = self._speeds - speed
+        middle = (self._times - c.step / 2)[None]
+        now = speed + np.sign(change)[:, None] * np.minimum(np.abs(change)[:, None], c.acceleration * middle)
+        return np.cumsum(np.moveaxis(self._headings, -1, 0) * (now * c.step), axis=-1)
+
+    def _move(self, target, velocity, walls):
+        """The action (2,) of the cheapest motion to `target` (2,) [m]."""
+        c = self.config
+        way = self._rollout(velocity[0])
+        bearing = math.atan2(target[1], target[0])
+        left = np.sqrt(((way - target[:, None, None]) ** 2).sum(axis=0)).min(axis=1)
+        cost = (left - np.hypot(*target)) / (self._limit[0] * c.horizon)
+        cost += c.heading_weight * (1.0 - np.cos(self._directions - bearing))
+        cost += c.change_weight * np.abs(_wrap(self._directions + self._yaw - self._moved))
+        cost += c.back_weight * (self._speeds < 0)
+        cost += c.person_weight * self._nearness(self._person_gaps(way), c.person_gap)
+        cost += c.wall_weight * self._nearness(self._wall_gaps(way, walls), c.wall_gap)
         best = int(np.argmin(cost))
-        turn = candidates[best]
-        ahead = clear[np.abs(candidates) < 0.3].min()
-        speed = np.clip((ahead - 0.5) / 1.5, 0.0, 1.0) * max(0.0, np.cos(turn))
-        return np.array([0.85 * speed, np.clip(turn, -1, 1)])
+        direction, rate = self._directions[best], self._rates[best]
+        if self._speeds[best] > 0 and abs(direction - bearing) < math.radians(5.0):
+            direction, rate = bearing, bearing / c.turn_time  # between two candidates
+        self._moved = self._yaw + direction
+        return np.clip(np.array([self._speeds[best], rate]) / self._limit, -1.0, 1.0)
+
+    def _nearness(self, gaps, limit):
+        """Cost (n,) of `gaps` (n, T) [m] smaller than `limit` [m]: 1 at a touch, more below. No way leads through."""
+        if gaps is None:
+            return 0.0
+        least = np.minimum.accumulate(gaps, axis=1)
+        gaps = np.where(least < 0, least, gaps)
+        return (np.maximum(1.0 - gaps / limit, 0.0) ** 2) @ self._discount
+
+    def _person_gaps(self, way):
+        """Least gaps (n, T) [m] between motions `way` (2, n, T) and people who keep their velocity; None: nobody."""
+        c = self.config
+        place, velocity = self.people
+        near = np.hypot(*place.T) < c.person_range
+        if not near.any():
+            return None
+        place, velocity = place[near].T[:, :, None], velocity[near].T[:, :, None]
+        x, y = place + velocity * self._times  # (people, T)
+        squared = (way[0][None] - x[:, None]) ** 2 + (way[1][None] - y[:, None]) ** 2
+        return np.sqrt(squared.min(axis=0)) - (c.radius + c.person_radius)
+
+    def _wall_gaps(self, way, walls):
+        """Least gaps (n, T) [m] between motions `way` (2, n, T) and the points `walls` (m, 2); None: none near."""
+        c = self.config
+        reach = self._limit[0] * c.horizon + c.wall_gap + c.radius
+        near = walls[np.hypot(*walls.T) < reach]
+        if not len(near):
+            return None
+        x, y = way.reshape(2, -1).astype(np.float32)
+        # |w - p|^2 = |p|^2 - 2 p.w + |w|^2 as a matrix product
+        points = np.column_stack([-2.0 * near, np.ones(len(near)), (near**2).sum(axis=1)]).astype(np.float32)
+        squared = (points @ np.stack([x, y, x * x + y * y, np.ones_like(x)])).min(axis=0)
+        return np.sqrt(np.maximum(squared, 0.0)).reshape(way.shape[1:]) - c.radius
+
+
+def _unit(angles):
+    """Unit vectors (..., 2) in the directions `angles` (...) [rad]."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _wrap(angle):
+    """`angle` [rad] in [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def _match(expected, seen, limit):
+    """Pairs of rows of `expected` (n, 2) and `seen` (m, 2) that are each other's nearest and within `limit` [m]."""
+    if not len(expected) or not len(seen):
+        return np.zeros(0, int), np.zeros(0, int)
+    squared = ((expected[:, None] - seen[None]) ** 2).sum(axis=-1)
+    rows = np.arange(len(expected))
+    nearest = squared.argmin(axis=1)
+    mutual = (squared.argmin(axis=0)[nearest] == rows) & (squared[rows, nearest] < limit**2)
+    return rows[mutual], nearest[mutual]

@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# Makes .venv in the checkout with everything that the project needs. Safe to run again; quick when nothing changed.
+# PYTHON=... chooses the interpreter (3.11 or newer).
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+find_python() {
+  for candidate in ${PYTHON:-python3 python3.13 python3.12 python3.11 python}; do
+    if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+      echo "$candidate"
+      return
+    fi
+  done
+  echo "setup: no Python 3.11 or newer found; install one, or name it with PYTHON=/path/to/python3" >&2
+  exit 1
+}
+
+install_packages() {
+  local stamp want
+  stamp=.venv/.setup-stamp
+  want=$(cat pyproject.toml tools/constraints.txt | sha256sum)
+  if [ -x .venv/bin/python ] && [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then
+    return
+  fi
+  if [ ! -x .venv/bin/python ]; then
+    local python
+    python=$(find_python)
+    echo "setup: making .venv with $("$python" --version)" >&2
+    "$python" -m venv .venv || {
+      echo "setup: '$python -m venv' failed; on Debian: apt-get install python3-venv" >&2
+      exit 1
+    }
+  fi
+  echo "setup: installing packages into .venv (about 1 GB on disk)" >&2
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c tools/constraints.txt -e '.[test]' >&2
+  echo "$want" > "$stamp"
+}
+
+has_egl() {
+  MUJOCO_GL=egl .venv/bin/python -c 'import mujoco; mujoco.GLContext(8, 8)' >/dev/null 2>&1
+}
+
+# Pictures need EGL: Mesa's software driver will do. Without it everything else still works.
+install_egl() {
+  if has_egl; then
+    return
+  fi
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    echo "setup: installing Mesa's EGL for offscreen pictures" >&2
+    if (apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1-mesa-dri) >/dev/null 2>&1 &&
+      has_egl; then
+      return
+    fi
+  fi
+  echo "setup: no EGL, so no pictures or videos; install it with: sudo apt-get install libegl1 libgl1-mesa-dri" >&2
+}
+
+install_packages
+install_egl
