@@ -30,6 +30,10 @@ _INK, _MUTED, _PAPER = (38, 43, 51), (112, 119, 130), (255, 255, 255)
 _TRAIL = 4.0  # of people [s]
 _NEAR, _FAR = 0.05, 300.0  # of what is drawn [m]
 
+_PARTS = 4  # of a person's figure
+_CHASE_DISTANCE = 5.0  # of the chase camera from the robot [m]
+_CHASE_ELEVATION = (math.radians(27), math.radians(74))  # the least, and the most where walls are near
+
 # The page, at scale 1: x, y, width, height [pixels].
 _SIZE = (1520, 496)
 _CHASE, _MAP, _FRONT = (10, 46, 640, 440), (660, 46, 440, 440), (1110, 46, 400, 224)
@@ -93,14 +97,17 @@ class Film:
         model = self._model = copy.copy(model)
         views = [self._rect(view)[2:] for view in (_CHASE, _MAP, _FRONT)]
         model.vis.global_.offwidth, model.vis.global_.offheight = np.max(views, axis=0)
-        model.vis.quality.offsamples = samples
-        model.vis.quality.shadowsize = 2048
-        model.vis.quality.numquads, model.vis.quality.numslices, model.vis.quality.numstacks = 1, 24, 12
+        quality = model.vis.quality
+        quality.offsamples, quality.numquads = samples, 1
+        quality.shadowsize, quality.numslices, quality.numstacks = (4096, 32, 16) if samples else (2048, 18, 8)
         people = range(sum(model.body(index).name.startswith("person") for index in range(model.nbody)))
         for index in people:
             model.geom(f"person{index}/cylinder").rgba[3] = 0.0  # a figure stands for it
+        for index in range(model.nmocap):  # coplanar tops would be lit twice where walls meet
+            model.geom(f"box{index}").size[2] -= 0.002 * (index % 7)
         self._boxes = [model.body(f"box{index}").id for index in range(model.nmocap)]
         self._joint = model.joint("robot").qposadr[0]
+        self._floor = model.geom("floor").id  # the scene lists the model's visible geoms in their order, the floor first
         self._camera = model.camera("robot/front").id
         self._data = mujoco.MjData(model)
         self._gl = _gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
@@ -146,17 +153,22 @@ class Film:
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._free, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
+        self._scene.geoms[self._floor].category = mujoco.mjtCatBit.mjCAT_DECOR
+        first = self._scene.ngeom
         self._draw_people(episode, step)
         self._draw_goal(episode.goal)
         page = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
         self._aim_front()
         self._render(page, _FRONT)
         self._draw_trails(episode, step)
-        self._aim_chase(episode, step)
-        self._render(page, _CHASE, episode.pose[step, :2], 14.0)
         centre, span = map_window(episode)
         self._look([*centre, 60.0], [0, 0, -1], [0, 1, 0], span / 2, orthographic=True)
         self._render(page, _MAP, centre, 0.75 * span)
+        eye = self._aim_chase(episode, step)
+        for person in np.flatnonzero(_hides(episode, step, eye)):
+            for part in range(_PARTS):
+                self._scene.geoms[first + _PARTS * person + part].rgba[3] = 0.25
+        self._render(page, _CHASE, episode.pose[step, :2], 20.0)
         self._mark_map(page, episode, step)
         for view, label in ((_CHASE, "Chase view"), (_MAP, "Map, north up"), (_FRONT, "Robot's camera")):
             self._label_view(page, view, label)
@@ -187,7 +199,7 @@ class Film:
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)
 
-    def _add(self, kind, size, place, rgba, yaw=0.0, glow=0.0):
+    def _add(self, kind, size, place, rgba, yaw=0.0, glow=0.0, shadow=True):
         """Adds a shape to the picture: `size` as MuJoCo's geoms have it [m], turned by `yaw` about the vertical."""
         if self._scene.ngeom >= self._scene.maxgeom:
             return
@@ -201,6 +213,7 @@ class Film:
             np.array([c, -s, 0, s, c, 0, 0, 0, 1.0]),
             np.array(rgba, np.float32),
         )
+        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC if shadow else mujoco.mjtCatBit.mjCAT_DECOR
         geom.emission, geom.specular, geom.shininess = glow, 0.15, 0.2
         self._scene.ngeom += 1
 
@@ -222,8 +235,8 @@ class Film:
         x, y = goal
         self._add(tube, [0.035, 1.5, 0], [x, y, 1.5], [*_GOAL_RGB, 1.0], glow=0.4)
         self._add(mujoco.mjtGeom.mjGEOM_BOX, [0.34, 0.012, 0.22], [x + 0.34, y, 2.78], [*_GOAL_RGB, 1.0], glow=0.4)
-        self._add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*_GOAL_RGB, 0.75], glow=0.4)
-        self._add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*_GOAL_RGB, 0.22], glow=0.5)
+        self._add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*_GOAL_RGB, 0.75], glow=0.4, shadow=False)
+        self._add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*_GOAL_RGB, 0.22], glow=0.5, shadow=False)
 
     def _draw_trails(self, episode, step):
         """The robot's way so far and the people's last seconds, as ribbons on the ground."""
@@ -247,9 +260,9 @@ class Film:
         dx, dy = end - start
         length = math.hypot(dx, dy)
         if length > 1e-6:
-            size = [length / 2 + 0.5 * half_width, half_width, 0.001]
+            size = [length / 2, half_width, 0.001]  # without overlaps: OpenGL would light them twice
             place = [*((start + end) / 2), height]
-            self._add(mujoco.mjtGeom.mjGEOM_PLANE, size, place, rgba, math.atan2(dy, dx), glow=0.4)
+            self._add(mujoco.mjtGeom.mjGEOM_PLANE, size, place, rgba, math.atan2(dy, dx), shadow=False)
 
     def _look(self, place, forward, up, half_height, near=_NEAR, far=_FAR, orthographic=False):
         """Aims the camera. half_height: of the picture [m], at the distance `near` unless orthographic."""
@@ -259,6 +272,9 @@ class Film:
             camera.frustum_bottom, camera.frustum_top = -half_height, half_height
             camera.frustum_near, camera.frustum_far = near, far
             camera.orthographic = orthographic
+        for light in list(self._scene.lights)[: self._scene.nlight]:
+            if light.headlight:
+                light.pos, light.dir = place, forward
 
     def _aim_front(self):
         axes = self._data.cam_xmat[self._camera].reshape(3, 3)
@@ -266,15 +282,16 @@ class Film:
         self._look(self._data.cam_xpos[self._camera], -axes[:, 2], axes[:, 1], _NEAR * math.tan(fovy / 2))
 
     def _aim_chase(self, episode, step):
-        """Behind and above the robot, higher where a wall would hide it."""
+        """Behind and above the robot, higher where a wall would hide it; returns where that is, (3,) [m]."""
         heading, elevation = _chase(episode, step)
         ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
         robot = np.array([*episode.pose[step, :2], 0.25])
         eye = robot + _CHASE_DISTANCE * (np.array([0, 0, math.sin(elevation)]) - math.cos(elevation) * ahead)
-        forward = robot + 2.0 * ahead * math.cos(elevation) ** 2 - eye
+        forward = robot + 2.4 * ahead * math.cos(elevation) ** 2 - eye
         forward /= np.linalg.norm(forward)
         right = np.array([ahead[1], -ahead[0], 0.0])
         self._look(eye, forward, np.cross(right, forward), _NEAR * math.tan(math.radians(44) / 2))
+        return eye
 
     def _render(self, page, view, centre=None, reach=None):
         """Draws into the page's rectangle `view`, with shadows up to `reach` [m] around `centre` where given."""
@@ -304,6 +321,8 @@ class Film:
         _disc(canvas, start, 4.5 * unit, _PAPER)
         _ring(canvas, start, 4.5 * unit, _INK, 1.6 * unit)
         _ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), tuple(round(255 * c) for c in _GOAL_RGB), 2.2 * unit)
+        for spot in at(episode.people[step, :, :2]):
+            _ring(canvas, spot, RADIUS * metre, _INK, unit)
         x, y, yaw = episode.pose[step]
         c, s = math.cos(yaw), -math.sin(yaw)
         shape = np.array([[1.0, 0.0], [-0.75, 0.68], [-0.4, 0.0], [-0.75, -0.68]]) * 11 * unit
@@ -396,10 +415,6 @@ class Film:
         _text(page, "goal", (x + 17 * unit, y), 0.4 * unit, _INK)
 
 
-_CHASE_DISTANCE = 5.0  # from the robot [m]
-_CHASE_ELEVATION = (math.radians(27), math.radians(74))
-
-
 def _smoothing(episode, step, seconds):
     """Steps around `step`, those of the episode's, and their Gaussian weights of standard deviation `seconds`."""
     reach = round(2 * seconds / episode.period)
@@ -423,10 +438,19 @@ def _chase(episode, step):
     distance = geometry.ray_box_distance(episode.pose[steps, :2], behind[:, None], episode.boxes)[:, 0]
     heights = np.where(np.arange(len(episode.boxes)) < 4, scene.OUTER_WALL_HEIGHT, scene.WALL_HEIGHT)
     low, high = _CHASE_ELEVATION
-    slope = np.where(distance < _CHASE_DISTANCE, heights / np.maximum(distance - 0.25, 0.05), 0.0).max(
-        axis=-1, initial=0.0
-    )
+    slope = np.where(distance < _CHASE_DISTANCE, heights / np.maximum(distance - 0.25, 0.05), 0.0)
+    slope = slope.max(axis=-1, initial=0.0)
     return _heading(episode, step), weights @ np.clip(np.arctan(slope), low, high)
+
+
+def _hides(episode, step, eye):
+    """Whether each person (K,) stands between the chase camera at `eye` (3,) [m] and the robot, or in its face."""
+    robot, people = episode.pose[step, :2], episode.people[step, :, :2]
+    way = eye[:2] - robot
+    length = max(math.hypot(*way), 1e-6)
+    along = np.clip((people - robot) @ way / length, 0.0, length)
+    beside = geometry.norm(people - robot - along[:, None] * way / length)
+    return (beside < 3 * RADIUS) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
 
 
 def map_window(episode):
@@ -483,7 +507,7 @@ def _ring(image, place, radius, colour, width):
     cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, _thick(width), cv2.LINE_AA, 4)
 
 
-def film(model, episode, path, fps=10, max_frames=300, title="", collisions=None, progress=None):
+def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.84, collisions=None, progress=None):
     """Writes `episode` as the VP9 video `path` (.webm), which browsers play; returns the path.
 
     A longer episode than `max_frames` steps is thinned out evenly and plays faster; the header says how fast.
@@ -502,8 +526,9 @@ def film(model, episode, path, fps=10, max_frames=300, title="", collisions=None
     steps = [*range(0, last, stride), last]
     temporary = _temporary(path)
     try:
-        with Film(model, title=title) as camera:
-            writer = cv2.VideoWriter(temporary, cv2.VideoWriter_fourcc(*"VP90"), float(fps), camera.size)
+        with Film(model, scale, title) as camera:
+            with _silent_stderr():  # of FFmpeg's remark that WebM has no such tag: it needs none
+                writer = cv2.VideoWriter(temporary, cv2.VideoWriter_fourcc(*"VP90"), float(fps), camera.size)
             if not writer.isOpened():
                 raise OSError(f"OpenCV can't write VP9 video to '{path}'.")
             try:
@@ -533,6 +558,19 @@ def still(model, episode, path, step=None, scale=1.0, title=""):
         picture = camera.frame(episode, step)
     write_bytes(path, cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
     return pathlib.Path(path)
+
+
+@contextlib.contextmanager
+def _silent_stderr():
+    """Drops what C code prints on stderr."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _temporary(path):

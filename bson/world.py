@@ -38,7 +38,8 @@ def build_model(config: TaskConfig, sensors):
 
 
 class World:
-    """`nworld` worlds. Arrays have a leading axis (nworld,); after `step(ids, ...)` the rows `ids` are current.
+    """`nworld` worlds. Arrays have a leading axis (nworld,); after `step(ids, ...)` the rows `ids`, in ascending
+    order, are current.
 
     seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m]; start_distance,
     distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps; arrived: bool;

@@ -36,13 +36,15 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "seed": seed,
         "engine": engine,
         "config": dataclasses.asdict(config),
-        **{name: _finite(np.nanmean(values)) for name, values in each.items()},
-        **{f"{name}_std": _finite(np.nanstd(values)) for name, values in each.items()},
+        **{name: _over_episodes(np.mean, values) for name, values in each.items()},
+        **{f"{name}_std": _over_episodes(np.std, values) for name, values in each.items()},
     }
 
 
-def _finite(value):
-    return float(value) if np.isfinite(value) else None
+def _over_episodes(statistic, values):
+    """`statistic` of the episodes that have a value; None if none has (PE where nobody arrived)."""
+    numbers = [value for value in values if np.isfinite(value)]
+    return float(statistic(numbers)) if numbers else None
 
 
 def format_table(rows):

@@ -17,7 +17,7 @@ MAX_PERSON_DENSITY = 0.08  # persons per m2 at pedestrian density 1: 200 on 50 x
 WALL_THICKNESS = 0.3  # [m]
 CORRIDOR = 5.0  # side of a maze's cell [m]
 GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
-_TRIES = 2000
+_TRIES = 300
 
 LEVELS = (1, 2, 3, 4)
 

@@ -134,9 +134,17 @@ class MjxPhysics(_Engine):
     def step(self, state, command, nstep=1):
         """As NativePhysics.step."""
         ctrl = command.reshape(self.nworld, 3 * self.number)
+        gain = self._model.actuator_gainprm[:, 0]
+        limit = jnp.where(self._model.actuator_forcelimited, self._model.actuator_forcerange[:, 1], jnp.inf)
 
         def one(data, ctrl):
-            return self._mjx.step(self._model, data.replace(ctrl=ctrl))
+            # The implicit integrators damp by an actuator's velocity gain, MuJoCo's not where the actuator is at its
+            # limit, MJX's everywhere: so that the engines agree, an actuator at its limit is a constant force here.
+            force = gain * (ctrl - data.qvel)
+            at_limit = jnp.abs(force) >= limit
+            ctrl = jnp.where(at_limit, jnp.clip(force, -limit, limit) / gain, ctrl)
+            bias = jnp.where(at_limit[:, None], 0.0, self._model.actuator_biasprm)
+            return self._mjx.step(self._model.replace(actuator_biasprm=bias), data.replace(ctrl=ctrl))
 
         for _ in range(nstep):
             stepped = jax.vmap(one)(state, ctrl)

@@ -11,7 +11,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from macid.state import HEIGHT, PHYSICS_STEP, RADIUS
+from macid.state import HEIGHT, PHYSICS_STEP, RADIUS, RESPONSE
 
 # Contact bits: (contype, conaffinity) of whatever takes part. A pair touches where one's type meets the other's affinity.
 BIT_PERSON, BIT_SOLID, BIT_FLOOR = 1, 2, 4
@@ -32,10 +32,11 @@ PERSON_RGBA = (0.36, 0.62, 0.40, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class PersonConfig:
-    """A pedestrian's body. The actuators reach a commanded velocity with `response` as their time constant."""
+    """A pedestrian's body. The actuators reach a commanded velocity with `response` as their time constant, as long as
+    that takes no more than `max_force`; Unity, the paper's engine, sets velocities at once."""
 
     mass: float = 75.0  # [kg]
-    response: float = 0.05  # [s]
+    response: float = RESPONSE  # [s]
     max_force: float = 400.0  # of each slide's actuator [N]: what somebody who pushes can bring up
     friction: float = 0.4  # sliding, with people and walls
 
@@ -78,7 +79,7 @@ def base_spec(size):
     )
     tiles = spec.add_material(name="tiles", reflectance=0.0, specular=0.1, shininess=0.1)
     tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    tiles.texrepeat = [0.5, 0.5]  # 2 m hold two tiles: a tile is a metre
+    tiles.texrepeat = [1.0, 1.0]  # a plane of 2 m holds four tiles: a tile is a metre
     tiles.texuniform = True
     for name, rgba in (("wall", WALL_RGBA), ("obstacle", OBSTACLE_RGBA)):
         spec.add_material(name=name, rgba=rgba, specular=0.1, shininess=0.1)

@@ -6,6 +6,7 @@ import numpy as np
 
 RADIUS = 0.35  # of a pedestrian [m]
 HEIGHT = 1.7  # of a pedestrian [m]
+RESPONSE = 0.01  # time constant with which a pedestrian's body follows a commanded velocity [s]
 MAX_SPEED = 1.5  # [m/s]
 MAX_YAW_RATE = 1.0  # [rad/s]
 CONTACT_GAP = 0.01  # a surface gap up to this counts as a collision [m] (Unity's contact offset)

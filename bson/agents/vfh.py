@@ -39,10 +39,11 @@ class VfhConfig:
     sector_beams: int = 10  # beams of a sector of the histogram
     clearance: float = 0.45  # half the width that a free way has
     lookahead: float = 6.0  # farther than this nothing blocks
-    blocked_weight: float = 2.5  # of a way's blocked share, against radians off the goal
+    blocked_weight: float = 6.0  # of a way's blocked share, against radians off the goal
     keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
     follow_beyond: float = 1.3  # off the goal: who has to turn this far follows the wall
     follow_free: float = 2.0  # way that is free enough along a followed wall
+    leave_free: float = 3.0  # way towards the goal that is free enough to end following
     follow_gain: float = 0.5  # that following must have brought to end
 
     # people
@@ -151,25 +152,29 @@ class Vfh:
     def _fit_circles(self, points, angles, counts):
         """Least-squares centres (n, 2) of circles of a person's radius, and the root-mean-square errors (n,) [m].
 
-        points (m, 2): objects of `counts` (n,) points, one after the other; angles (m,): their beams'. Three
+        points (m, 2): objects of `counts` (n,) points, one after the other; angles (m,): their beams'. Two
         Gauss-Newton steps from a disc that is seen whole.
         """
         radius = self.config.person_radius
         starts = np.cumsum(counts) - counts
+        label = np.repeat(np.arange(len(counts)), counts)
+        px, py = np.ascontiguousarray(points.T)
         middle = (angles[starts] + angles[starts + counts - 1]) / 2
-        nearest = np.minimum.reduceat(np.hypot(points[:, 0], points[:, 1]), starts)
-        centres = (nearest + radius)[:, None] * _unit(middle)
-        for _ in range(3):
-            offset = points - np.repeat(centres, counts, axis=0)
-            length = np.hypot(offset[:, 0], offset[:, 1])
+        distance = np.sqrt(np.minimum.reduceat(px * px + py * py, starts)) + radius
+        x, y = distance * np.cos(middle), distance * np.sin(middle)
+        rows = np.empty((6, len(label)))
+        for _ in range(2):
+            dx, dy = px - x[label], py - y[label]
+            length = np.sqrt(dx * dx + dy * dy)
             error = length - radius
-            ux, uy = offset.T / length
-            rows = np.stack([ux * ux, ux * uy, uy * uy, ux * error, uy * error, error * error])
+            dx, dy = dx / length, dy / length
+            for row, (a, b) in zip(rows, ((dx, dx), (dx, dy), (dy, dy), (dx, error), (dy, error), (error, error))):
+                np.multiply(a, b, out=row)
             xx, xy, yy, bx, by, squared = np.add.reduceat(rows, starts, axis=1)
             xx, yy = xx + 1e-3 * counts, yy + 1e-3 * counts
             determinant = xx * yy - xy * xy
-            centres = centres + np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[:, None]
-        return centres, np.sqrt(squared / counts)
+            x, y = x + (yy * bx - xy * by) / determinant, y + (xx * by - xy * bx) / determinant
+        return np.stack([x, y], axis=-1), np.sqrt(squared / counts)
 
     def _track(self, seen, scan):
         """Matches the people `seen` (n, 2), goal-bound frame, with those believed in, and updates these."""
@@ -218,35 +223,42 @@ class Vfh:
         c = self.config
         distance, bearing = np.hypot(*goal), math.atan2(goal[1], goal[0])
         reach = min(distance, c.lookahead)
-        directions = np.concatenate([[bearing], np.arctan2(walls[:, 1], walls[:, 0])])
-        free = self._free_way(directions, walls)
-        if abs(bearing) > self._angles[-1]:
-            free[0] = free[0] if self._follow is None else 0.0
-        in_sight = free[0] >= reach - 0.2
-        if self._follow is not None and in_sight and distance < self._follow[1] - c.follow_gain:
-            self._follow = None
+        ranges = np.hypot(walls[:, 0], walls[:, 1])
+        near = ranges < c.lookahead + c.clearance
+        blocking, blocking_ranges = walls[near], ranges[near]
+        free = self._free_way(np.array([bearing]), blocking, blocking_ranges)[0]
+        if self._follow is not None and abs(bearing) <= self._angles[-1]:
+            if free >= min(reach, c.leave_free) - 0.2 and distance < self._follow[1] - c.follow_gain:
+                self._follow = None
+        if self._follow is None and free >= reach - 0.2:
+            self._steered = self._yaw + bearing
+            return goal
+        directions = np.arctan2(walls[:, 1], walls[:, 0])
+        free = self._free_way(directions, blocking, blocking_ranges)
         if self._follow is None:
-            if in_sight:
-                self._steered = self._yaw + bearing
-                return goal
             direction = self._least_cost(directions, free, bearing, reach)
             off = _wrap(direction - bearing)
             if abs(off) > c.follow_beyond:
                 self._follow = (1.0 if off > 0 else -1.0, distance)
         else:
-            direction = self._along_wall(directions[1:], free[1:], walls)
+            direction = self._along_wall(directions, free, ranges)
         self._steered = self._yaw + direction
         return c.lookahead * np.array([math.cos(direction), math.sin(direction)])
 
-    def _free_way(self, directions, walls):
-        """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] until it meets a wall."""
-        ux, uy = _unit(directions).T
-        along = ux[:, None] * walls[:, 0] + uy[:, None] * walls[:, 1]
-        across = ux[:, None] * walls[:, 1] - uy[:, None] * walls[:, 0]
-        reach = np.minimum(self.config.clearance, 0.95 * np.hypot(*walls.T))  # who is too close can still turn away
-        depth = reach**2 - across**2
-        meets = (depth > 0) & (along > 0)
-        return np.where(meets, along - np.sqrt(np.maximum(depth, 0.0)), 30.0).min(axis=1)
+    def _free_way(self, directions, points, ranges):
+        """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] until it meets `points` (m, 2).
+
+        At most the lookahead. ranges (m,): the points' distances. Who is too close to a wall can still turn away.
+        """
+        c = self.config
+        if not len(points):
+            return np.full(len(directions), c.lookahead)
+        ux, uy = np.cos(directions)[:, None], np.sin(directions)[:, None]
+        along = ux * points[:, 0] + uy * points[:, 1]
+        half = along**2 - (ranges**2 - np.minimum(c.clearance, 0.95 * ranges) ** 2)  # of the chord, squared
+        meets = (half > 0) & (along > 0)
+        free = np.where(meets, along - np.sqrt(np.maximum(half, 0.0)), c.lookahead)
+        return np.minimum(free.min(axis=1), c.lookahead)
 
     def _least_cost(self, directions, free, bearing, reach):
         """VFH+: the direction [rad] of least cost."""
@@ -256,12 +268,12 @@ class Vfh:
         blocked = 1.0 - np.minimum(free, reach) / reach
         return directions[np.argmin(off_goal + c.keep_weight * off_last + c.blocked_weight * blocked)]
 
-    def _along_wall(self, directions, free, walls):
+    def _along_wall(self, directions, free, ranges):
         """The first free direction [rad], sweeping from the followed wall away from it."""
         side = self._follow[0]
         order = np.argsort(side * directions)
         directions, free = directions[order], free[order]
-        distance = np.where(side * directions < 0.3, np.hypot(*walls[order].T), np.inf)
+        distance = np.where(side * directions < 0.3, ranges[order], np.inf)
         swept = np.arange(len(directions)) >= np.argmin(distance)
         usable = np.flatnonzero(swept & (free >= self.config.follow_free))
         return directions[usable[0]] if len(usable) else directions[-1]
@@ -269,7 +281,7 @@ class Vfh:
     # --- motions
 
     def _prepare_motions(self):
-        """Candidate motions: speeds (n,) [m/s], directions (n,) [rad], and headings' unit vectors (n, T, 2) on the way."""
+        """Candidate motions: speeds (n,) [m/s], directions (n,) [rad], and ways (2, n, T) at 1 m/s."""
         c = self.config
         ahead = [math.radians(sign * d) for d in c.directions for sign in ((1, -1) if d else (1,))]
         back = [math.radians(sign * d) for d in c.back_directions for sign in ((1, -1) if d else (1,))]
@@ -280,24 +292,22 @@ class Vfh:
         self._times = c.step * np.arange(1, round(c.horizon / c.step) + 1)
         turned = np.maximum(self._times - c.step / 2 - c.turn_lag, 0.0) * np.abs(rate)[:, None]
         heading = np.sign(self._directions)[:, None] * np.minimum(turned, np.abs(self._directions)[:, None])
-        self._headings = _unit(heading)
+        self._headings = np.moveaxis(_unit(heading), -1, 0) * c.step
+        self._speed_change = c.acceleration * (self._times - c.step / 2)  # at most, by the middle of each step
         self._discount = np.exp(-self._times / c.patience)
         self._discount /= self._discount.sum()
 
     def _rollout(self, speed):
         """Where (2, n, T) [m] the candidate motions lead from the present `speed` [m/s], robot frame."""
-        c = self.config
-        change = self._speeds - speed
-        middle = (self._times - c.step / 2)[None]
-        now = speed + np.sign(change)[:, None] * np.minimum(np.abs(change)[:, None], c.acceleration * middle)
-        return np.cumsum(np.moveaxis(self._headings, -1, 0) * (now * c.step), axis=-1)
+        now = np.clip(self._speeds[:, None], speed - self._speed_change, speed + self._speed_change)
+        return np.cumsum(self._headings * now, axis=-1)
 
     def _move(self, target, velocity, walls):
         """The action (2,) of the cheapest motion to `target` (2,) [m]."""
         c = self.config
         way = self._rollout(velocity[0])
         bearing = math.atan2(target[1], target[0])
-        left = np.sqrt(((way - target[:, None, None]) ** 2).sum(axis=0)).min(axis=1)
+        left = np.sqrt(((way[0] - target[0]) ** 2 + (way[1] - target[1]) ** 2).min(axis=1))
         cost = (left - np.hypot(*target)) / (self._limit[0] * c.horizon)
         cost += c.heading_weight * (1.0 - np.cos(self._directions - bearing))
         cost += c.change_weight * np.abs(_wrap(self._directions + self._yaw - self._moved))
@@ -323,7 +333,7 @@ class Vfh:
         """Least gaps (n, T) [m] between motions `way` (2, n, T) and people who keep their velocity; None: nobody."""
         c = self.config
         place, velocity = self.people
-        near = np.hypot(*place.T) < c.person_range
+        near = (place**2).sum(axis=1) < c.person_range**2
         if not near.any():
             return None
         place, velocity = place[near].T[:, :, None], velocity[near].T[:, :, None]
@@ -335,7 +345,7 @@ class Vfh:
         """Least gaps (n, T) [m] between motions `way` (2, n, T) and the points `walls` (m, 2); None: none near."""
         c = self.config
         reach = self._limit[0] * c.horizon + c.wall_gap + c.radius
-        near = walls[np.hypot(*walls.T) < reach]
+        near = walls[(walls**2).sum(axis=1) < reach**2]
         if not len(near):
             return None
         x, y = way.reshape(2, -1).astype(np.float32)

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 
 from macid.geometry import in_box_frame, norm, rotate
 from macid.pedestrians.facing import face_velocity
-from macid.state import MAX_SPEED
+from macid.state import MAX_SPEED, PHYSICS_STEP, RADIUS, RESPONSE
 
 TINY = 1e-6  # lengths below this have no direction [m]
+_CLOSEST = 0.02  # people who touch count as this far apart [m]
 
 
 def unit(vector):
@@ -70,13 +71,14 @@ class SocialForce:
     """acceleration = (v0 e - v) / tau - sum_b w grad_r V(b) - sum_B grad U(d), with e the direction to the goal.
 
     V(b) = V0 exp(-b / sigma) of `ellipse`, U(d) = U0 exp(-d / R), and w = 1 for what pushes from within the field of
-    view around e, 0.5 else: eqs. 1 to 9 with the published constants. People are points in them: r leads from centre
-    to centre and d from a centre to an obstacle's surface, both as published; the constants hold the body's size.
+    view around e, 0.5 else: eqs. 1 to 9 with the published constants.
 
     Another person's next step lies in the direction e_b in which it wants to go, as published. A robot among the people
     whose goal nobody is to know gets `position + velocity` for a goal.
 
-    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; the step's length
+    Where this differs from the paper: r counts from surface to surface (`body_radius`), as in most simulators with
+    bodies; the published people are points, and bodies of 0.35 m driven by them push each other for seconds
+    (`body_radius=0` gives them); d counts from a centre to an obstacle's surface, as published. Everybody has the mean desired speed instead of a Gaussian one; the step's length
     is max(0, v_b . e_b) dt instead of |v_b| dt, the same for whoever gets where it wants (with |v_b|, two who meet in
     close quarters can lock and drift off together, each taking the drift for the other's step); speed is capped at
     1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by `veer`
@@ -96,14 +98,25 @@ class SocialForce:
     field_of_view: float = 200.0  #: 2 phi [deg]
     unseen_weight: float = 0.5  #: c
     veer: float = 0.01  #: [rad]
+    body_radius: float = RADIUS  #: distances between people are their surfaces'; 0: centres', as published [m]
+    response: float = RESPONSE  #: time constant with which the body follows a commanded velocity [s]
+
+    @property
+    def lead(self):
+        """By how much a command must lead the velocity per acceleration [s], for the body to get that acceleration.
+
+        A body with the time constant T makes up 1 - (T / (T + h))^n of the difference in n implicit steps of h.
+        """
+        missed = (self.response / (self.response + PHYSICS_STEP)) ** round(self.period / PHYSICS_STEP)
+        return self.period / (1.0 - missed)
 
     def __call__(self, state, boxes, goals, lcf=None):
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3). `lcf` has no meaning here and is ignored.
 
-        state (..., K), boxes (B, 5) or (..., B, 5), goals (..., K, 2) [m]. The command is v + acceleration * period.
+        state (..., K), boxes (B, 5) or (..., B, 5), goals (..., K, 2) [m]. The command is v + acceleration * lead.
         """
         velocity = jnp.asarray(state.velocity, jnp.float32)
-        command = velocity + self.acceleration(state, boxes, goals) * self.period
+        command = velocity + self.acceleration(state, boxes, goals) * self.lead
         top_speed = min(self.top_speed_ratio * self.desired_speed, self.max_speed)
         command = command * jnp.minimum(1.0, top_speed / jnp.maximum(norm(command), TINY))[..., None]
         return face_velocity(command, jnp.asarray(state.yaw, jnp.float32), self.period)
@@ -119,6 +132,7 @@ class SocialForce:
 
     def _from_people(self, position, velocity, direction):
         r = position[..., :, None, :] - position[..., None, :, :]  # (..., K, K, 2) from the second to the first
+        r = unit(r) * jnp.maximum(norm(r) - 2 * self.body_radius, _CLOSEST)[..., None]
         progress = jnp.maximum(jnp.sum(velocity * direction, axis=-1), 0.0)
         step = progress[..., None] * self.step_time * direction
         b, gradient = ellipse(r, step[..., None, :, :])

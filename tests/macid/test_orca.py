@@ -99,7 +99,7 @@ def test_half_planes_touch_the_velocity_obstacles():
 
 
 def test_two_who_overlap_part_within_a_period():
-    normal, offset = MODEL.neighbor_half_planes(jnp.asarray([[0.0, 0.0], [0.7, 0.0]]), jnp.zeros((2, 2)))
+    normal, offset = jax.jit(MODEL.neighbor_half_planes)(jnp.asarray([[0.0, 0.0], [0.7, 0.0]]), jnp.zeros((2, 2)))
     np.testing.assert_allclose(normal[:, 0], [[-1, 0], [1, 0]], atol=1e-6)
     np.testing.assert_allclose(offset[:, 0], 0.5 * 0.04 / 0.02, rtol=1e-4)
 

@@ -51,7 +51,7 @@ def test_who_stands_at_a_wall_is_not_led_through_it(gap):
 
 def test_who_stands_at_a_wall_may_leave_it():
     start = np.array([-0.44, -4.0])
-    goals = np.array([[-5.0, -4.0], [-0.44, 1.0], [-5.0, 4.0], [1.0, -4.0]])
+    goals = np.array([[-5.0, -4.0], [-0.45, 1.0], [-5.0, 4.0], [1.0, -4.0]])
     assert lines_are_free(start, goals, SCREEN.boxes).tolist() == [True, True, True, False]
 
 

@@ -117,11 +117,12 @@ def test_people_come_before_other_joints():
         scene.add_people(spec, 1)
 
 
-@pytest.mark.parametrize("command", [(0.8, 0.0, 0.0), (-0.5, 0.6, 1.0), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize("command", [(0.5, 0.0, 0.0), (-0.4, 0.5, 1.0), (0.0, 0.0, -1.0)])
 def test_a_commanded_velocity_is_reached_within_five_time_constants(model, command):
     commands = np.zeros((NUMBER, 3))
     commands[0] = command
-    qpos, qvel = walk(model, apart([[0.0, 0.0]]), commands, 5 * CONFIG.response + PHYSICS_STEP / 2)
+    pushing = np.linalg.norm(command[:2]) * CONFIG.mass / CONFIG.max_force  # as long as its strength needs
+    _, qvel = walk(model, apart([[0.0, 0.0]]), commands, 5 * CONFIG.response + pushing + PHYSICS_STEP / 2)
     assert abs(qvel[-1, 0] - command).max() <= 0.05 * abs(np.array(command)).max()
     np.testing.assert_allclose(qvel[:, 1:], 0.0, atol=1e-9)
 
@@ -140,7 +141,7 @@ def test_two_who_walk_into_each_other_stay_two_radii_apart(model, aside):
     commands = np.array([[1.5, 0, 0], [-1.5, 0, 0], [0, 0, 0]])
     qpos, _ = walk(model, apart([[-2.0, -4.0], [2.0, -4.0 + aside]]), commands, 4.0)
     distance = np.linalg.norm(qpos[:, 0, :2] - qpos[:, 1, :2], axis=-1)
-    assert 0.67 < distance.min() < 0.72  # 3 m/s is stopped within 3 cm
+    assert 0.63 < distance.min() < 0.72  # a closing speed of 3 m/s is stopped within 7 cm
     assert distance[-1] >= 0.69
 
 
@@ -156,8 +157,8 @@ def test_who_walks_into_a_wall_stops_there(model, start, command, axis, stop):
     commands = np.zeros((NUMBER, 3))
     commands[0] = command
     qpos, qvel = walk(model, apart([start]), commands, 4.0)
-    assert qpos[:, 0, axis].min() > stop - 0.02
-    assert qpos[-1, 0, axis] == pytest.approx(stop, abs=0.02)
+    assert qpos[:, 0, axis].min() > stop - 0.035  # the blow itself
+    assert qpos[-1, 0, axis] == pytest.approx(stop, abs=0.005)
     assert abs(qvel[-1, 0, :2]).max() < 0.01
 
 

@@ -13,8 +13,9 @@ from macid.pedestrians.orca import ORCA
 from macid.pedestrians.social_force import SocialForce, ellipse
 from macid.state import MAX_SPEED, MAX_YAW_RATE, parking_place
 
-MODEL = SocialForce()
-MODELS = [SocialForce(), ORCA()]
+MODEL = SocialForce(response=0.0)  # the kinematic loop's people follow at once
+PUBLISHED = SocialForce(response=0.0, body_radius=0.0)
+MODELS = [MODEL, ORCA()]
 both = pytest.mark.parametrize("model", MODELS, ids=["social_force", "orca"])
 
 
@@ -121,7 +122,7 @@ def test_the_ellipse_is_helbings_and_its_gradient_is_right():
 
 def test_force_of_somebody_who_stands_one_metre_ahead():
     state = crowd([[0.0, 0.0], [1.0, 0.0]])
-    model = replace(MODEL, veer=0.0)
+    model = replace(PUBLISHED, veer=0.0)
     acceleration = jax.jit(model.acceleration)(state, OPEN, np.array([[9.0, 0.0], [9.0, 0.0]]))
     push = 2.1 / 0.3 * np.exp(-1 / 0.3)
     np.testing.assert_allclose(acceleration, [[1.34 / 0.5 - push, 0], [1.34 / 0.5 + 0.5 * push, 0]], atol=1e-5)
@@ -145,5 +146,23 @@ def test_a_mirrored_scene_gives_a_mirrored_command():
 def test_people_turn_to_where_they_walk():
     velocity = jnp.asarray([[0.0, 1.0], [-1.0, -0.01], [1.0, 0.0], [0.01, 0.0]])
     yaw = jnp.asarray([0.0, 3.1, 0.01, 2.0])
-    rate = face_velocity(velocity, yaw, 0.02)[:, 2]
+    rate = jax.jit(face_velocity)(velocity, yaw, 0.02)[:, 2]
     np.testing.assert_allclose(rate, [MAX_YAW_RATE, MAX_YAW_RATE, -0.5, 0.0], atol=1e-4)
+
+
+def test_bodies_push_as_points_do_that_much_closer():
+    model = replace(MODEL, veer=0.0)
+    goals = np.array([[9.0, 0.0], [9.0, 0.0]])
+    bodies = model.acceleration(crowd([[0.0, 0.0], [1.5, 0.0]]), OPEN, goals)
+    points = replace(PUBLISHED, veer=0.0).acceleration(crowd([[0.0, 0.0], [0.8, 0.0]]), OPEN, goals)
+    np.testing.assert_allclose(bodies, points, atol=1e-5)
+
+
+def test_a_command_leads_by_what_a_lagging_body_misses():
+    lagging = SocialForce(period=0.04)
+    follow = lagging.response / (lagging.response + 0.02)
+    command = lagging.lead  # for an acceleration of 1 m/s2 from rest
+    velocity = 0.0
+    for _ in range(2):
+        velocity = follow * velocity + (1 - follow) * command
+    assert velocity == pytest.approx(1.0 * 0.04)

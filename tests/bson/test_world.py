@@ -1,0 +1,229 @@
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+
+from bson import robot
+from bson.sensors import Imu, Lidar2D
+from bson.task import TaskConfig
+from bson.world import World
+from macid import geometry
+from macid.state import HEIGHT, RADIUS
+
+SENSORS = (Imu(), Lidar2D())
+MAZE = TaskConfig(num_pedestrians=8, obstacle_density=0.6)
+
+
+def drive(world, ids, steps, seed=0):
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        command = np.stack([rng.uniform(-0.5, 2.0, world.nworld), rng.uniform(-1.5, 1.5, world.nworld)], axis=-1)
+        world.step(ids, command[ids])
+
+
+@pytest.mark.parametrize("model", ["social-force", "orca"])
+@pytest.mark.parametrize("obstacle_density", [0.0, 0.5])
+def test_a_world_of_a_batch_equals_the_same_world_alone_bit_for_bit(model, obstacle_density):
+    config = TaskConfig(num_pedestrians=12, map_size=20.0, goal_distance=(8, 18), obstacle_density=obstacle_density,
+                        pedestrian_model=model, pedestrian_period=0.02)  # fmt: skip
+    many, alone = World(config, 5, SENSORS), World(config, 1, SENSORS)
+    many.reset(range(5), [11, 12, 13, 14, 15])
+    alone.reset([0], [14])
+    for step in range(40):
+        command = np.array([1.0, np.sin(step)])
+        many.step(np.arange(5), np.tile(command, (5, 1)) * np.array([[0.2], [0.5], [0.9], [1.0], [-1.0]]))
+        alone.step([0], command[None])
+    assert np.array_equal(many.qpos[3], alone.qpos[0])
+    assert np.array_equal(many.readings["lidar"][3], alone.readings["lidar"][0])
+    assert np.array_equal(many.readings["imu"][3], alone.readings["imu"][0])
+    assert many.collisions[3] == alone.collisions[0]
+    assert not np.array_equal(many.qpos[2], alone.qpos[0])
+
+
+def test_the_same_seed_is_the_same_episode_and_another_seed_another():
+    first, second = (World(MAZE, 2, SENSORS) for _ in range(2))
+    first.reset([0, 1], [5, 6])
+    second.reset([0, 1], [6, 5])
+    drive(first, [0, 1], 3, seed=3)
+    first.reset([0, 1], [5, 6])  # a used world begins as a fresh one does
+    for world, commands in ((first, [[1.0, 0.2], [0.5, -0.4]]), (second, [[0.5, -0.4], [1.0, 0.2]])):
+        for _ in range(20):
+            world.step([0, 1], commands)
+    assert np.array_equal(first.qpos[0], second.qpos[1])
+    assert np.array_equal(first.boxes[0], second.boxes[1])
+    assert not np.array_equal(first.boxes[0], first.boxes[1])
+
+
+def test_each_lidar_beam_agrees_with_mj_ray_and_with_the_analytic_ray():
+    world = World(MAZE, 3, SENSORS)
+    world.reset(range(3), [1, 2, 3])
+    drive(world, np.arange(3), 15)
+    lidar = SENSORS[1]
+    compared = 0
+    for index in range(3):
+        model, data = world.batch.get_model(index), world.batch.get_data(index)
+        mujoco.mj_forward(model, data)
+        site = model.site("robot/lidar").id
+        origin, frame = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
+        base = model.body("robot/base").id
+        beams = np.stack([np.cos(lidar.angles), np.sin(lidar.angles), 0 * lidar.angles], axis=-1) @ frame.T
+        hit = np.zeros(1, np.int32)
+        oracle = np.array([mujoco.mj_ray(model, data, origin, beam, None, 1, base, hit) for beam in beams])
+        oracle = np.clip(np.where(oracle < 0, lidar.range_max, oracle), lidar.range_min, lidar.range_max)
+        reading = world.readings["lidar"][index]
+        np.testing.assert_allclose(reading, oracle, atol=1e-5)
+        level = beams[:, :2] / np.linalg.norm(beams[:, :2], axis=-1, keepdims=True)
+        people = geometry.ray_disc_distance(origin[:2], level, world.people[index, :, :2], RADIUS).min(axis=-1)
+        boxes = geometry.ray_box_distance(origin[:2], level, world.boxes[index]).min(axis=-1)
+        planar = np.clip(np.minimum(people, boxes), lidar.range_min, lidar.range_max)
+        # A wheel on a bump pitches the scanner, so that far beams meet the ground or pass obliquely.
+        near = planar < 5.0
+        np.testing.assert_allclose(reading[near], planar[near], atol=0.05)
+        compared += near.sum()
+    assert compared > 100
+
+
+def test_lidar_sits_at_its_true_height_and_turns_with_the_robot():
+    world = World(TaskConfig(num_pedestrians=0), 1, SENSORS)
+    world.reset([0], [0])
+    for _ in range(10):
+        world.step([0], [[0.0, 0.0]])
+    data = world.batch.get_data(0)
+    mujoco.mj_forward(world.model, data)
+    assert data.site("robot/lidar").xpos[2] == pytest.approx(0.40, abs=0.01)
+    x, y, yaw = world.pose[0]
+    ahead = np.array([[np.cos(yaw), np.sin(yaw)]])
+    origin = np.array([x, y]) + 0.12 * ahead[0]
+    expected = geometry.ray_box_distance(origin, ahead, world.boxes[0]).min()
+    middle = world.readings["lidar"][0][359:361].mean()
+    assert middle == pytest.approx(min(expected, 30.0), abs=0.05)
+
+
+def test_imu_reads_gravity_at_rest_and_the_yaw_rate_in_a_turn():
+    world = World(TaskConfig(num_pedestrians=0), 1, SENSORS)
+    world.reset([0], [0])
+    for _ in range(10):
+        world.step([0], [[0.0, 0.0]])
+    np.testing.assert_allclose(world.readings["imu"][0], [0, 0, 9.81, 0, 0, 0], atol=0.05)
+    rates = []
+    for _ in range(20):
+        world.step([0], [[0.0, 1.0]])
+        rates.append(world.readings["imu"][0][5])
+    assert np.mean(rates[10:]) == pytest.approx(1.0, rel=0.1)
+
+
+def put(world, pose, people):
+    """Robot and people of world 0 to given places, at rest."""
+    world._qpos[0, world._robot_qpos] = robot.spawn_qpos(*pose)
+    world._qpos[0, world._people] = np.array(people, dtype=float).ravel()
+    world._qvel[0] = 0
+    world._sense(np.array([0]))
+
+
+@pytest.mark.parametrize(("gap", "touched"), [(0.008, True), (0.03, False)])
+def test_a_collision_is_counted_in_physics_steps_by_the_surface_gap(gap, touched):
+    world = World(TaskConfig(num_pedestrians=1), 1)
+    world.reset([0], [0])
+    half = world.config.robot.half_length
+    put(world, (0.0, 0.0, 0.0), [[half + RADIUS + gap, 0.0, 0.0]])
+    world.people_goals[0] = world.people[0, :, :2] + [10.0, 0.0]
+    before = np.array([[0.0, 0.0, 0.0]])
+    world._account(np.array([0]), before, np.tile(world.qpos[0], (1, 5, 1)))
+    assert world.collisions[0] == world.collisions_person[0] == (5 if touched else 0)
+    assert world.nearest_person[0] == pytest.approx(gap, abs=1e-9)
+
+
+def test_driving_into_a_wall_counts_as_wall_and_pushing_on_counts_on():
+    world = World(TaskConfig(num_pedestrians=0), 1)
+    world.reset([0], [0])
+    put(world, (23.0, 3.0, 0.0), [])
+    for _ in range(30):
+        world.step([0], [[1.5, 0.0]])
+    assert 0 < world.collisions_wall[0] == world.collisions[0] <= 150
+    assert world.collisions_person[0] == world.collisions_obstacle[0] == 0
+    assert world.pose[0, 0] < 25.0 - 0.2
+    halted = world.collisions[0]
+    world.step([0], [[1.5, 0.0]])
+    assert world.collisions[0] - halted == 5
+
+
+def test_collision_count_does_not_depend_on_the_control_period():
+    counts = []
+    for period in (0.02, 0.1):
+        world = World(TaskConfig(num_pedestrians=0, control_period=period), 1)
+        world.reset([0], [0])
+        put(world, (23.0, 3.0, 0.0), [])
+        for _ in range(round(3.0 / period)):
+            world.step([0], [[1.5, 0.0]])
+        counts.append(world.collisions_wall[0])
+    assert counts[0] == counts[1] > 0
+
+
+def test_people_take_notice_of_the_robot():
+    config = TaskConfig(num_pedestrians=1, pedestrian_model="orca")
+    ways = []
+    for place in ((0.0, 0.0), (0.0, 20.0)):
+        world = World(config, 1)
+        world.reset([0], [0])
+        put(world, (*place, 0.0), [[5.0, 0.05, np.pi]])
+        world.people_goals[0] = [[-5.0, 0.0]]
+        side, nearest = 0.0, np.inf
+        for _ in range(60):
+            world.step([0], [[0.0, 0.0]])
+            side = max(side, abs(world.people[0, 0, 1]))
+            nearest = min(nearest, world.nearest_person[0])
+        ways.append(side)
+        assert world.collisions[0] == 0
+    assert ways[0] > 0.5 > 0.2 > ways[1]
+
+
+def test_people_reach_goals_and_get_new_ones_where_they_stand():
+    world = World(TaskConfig(num_pedestrians=6, map_size=20.0, goal_distance=(8, 18)), 1)
+    world.reset([0], [4])
+    first = world.people_goals[0].copy()
+    places = [world.people[0, :, :2].copy()]
+    for _ in range(300):
+        world.step([0], [[0.0, 0.0]])
+        places.append(world.people[0, :, :2].copy())
+    changed = (world.people_goals[0] != first).any(axis=-1)
+    assert changed.sum() >= 5
+    assert np.linalg.norm(np.diff(places, axis=0), axis=-1).max() < 0.2  # nobody is moved by hand
+
+
+def test_people_in_a_maze_follow_waypoints_and_stay_off_the_walls():
+    world = World(TaskConfig(num_pedestrians=10, obstacle_density=1.0), 1)
+    world.reset([0], [2])
+    routes = [len(route) for route in world._routes[0]]
+    assert max(routes) >= 1
+    start = world.people[0, :, :2].copy()
+    for _ in range(150):
+        world.step([0], [[0.0, 0.0]])
+        clear = geometry.point_box_distance(world.people[0, :, :2], world.boxes[0][None]).min(axis=-1)
+        assert clear.min() > RADIUS - 0.05
+    moved = np.linalg.norm(world.people[0, :, :2] - start, axis=-1)
+    assert np.median(moved) > 3.0
+
+
+def test_pedestrians_may_decide_more_often_than_the_robot():
+    fast = World(TaskConfig(num_pedestrians=4, pedestrian_period=0.02), 1)
+    slow = World(TaskConfig(num_pedestrians=4, pedestrian_period=0.1), 1)
+    for world in (fast, slow):
+        world.reset([0], [0])
+        for _ in range(10):
+            world.step([0], [[0.0, 0.0]])
+    assert np.abs(fast.people - slow.people).max() < 0.3
+    assert not np.array_equal(fast.people, slow.people)
+
+
+def test_rays_pass_the_robots_paint_but_pictures_show_it():
+    world = World(TaskConfig(num_pedestrians=0), 1, SENSORS)
+    paint = [i for i in range(world.scene.nmat) if world.scene.material(i).name.startswith("robot/")]
+    assert (world.model.mat_rgba[paint, 3] == 0).all()
+    assert (world.scene.mat_rgba[paint, 3] > 0).all()
+    assert copy.copy(world.scene).nq == world.model.nq
+
+
+def test_the_scene_has_people_as_tall_as_the_paper_says():
+    world = World(TaskConfig(num_pedestrians=1), 1)
+    assert world.model.geom("person0/cylinder").size[:2] == pytest.approx([RADIUS, HEIGHT / 2])

@@ -1,0 +1,62 @@
+import json
+import os
+
+import pytest
+
+from macid.cli import main
+
+
+def test_evaluate_writes_the_table(tmp_path, capsys):
+    out = tmp_path / "new" / "table.json"
+    arguments = ["evaluate", "--pedestrian", "social-force", "--levels", "1", "--episodes", "2", "--out", str(out)]
+    assert main([*arguments, "--period", "0.1", "--lcf", "0", "1", "--seed", "3"]) == 0
+    (row,) = json.loads(out.read_text())
+    for name in ("SR10", "CP", "PE", "arrived"):
+        assert row[name] >= 0 and row[f"{name}_std"] >= 0
+    assert row["arrived"] > 50
+    assert (row["pedestrian"], row["level"], row["people"], row["episodes"]) == ("social-force", 1, 25, 2)
+    assert (row["seed"], row["engine"]) == (3, "native")
+    assert (row["config"]["period"], row["config"]["lcf"], row["config"]["duration"]) == (0.1, [0.0, 1.0], 20.0)
+    printed, progress = capsys.readouterr()
+    assert "SR10" in printed and f"{row['SR10']:.1f} +- {row['SR10_std']:.1f}" in printed and str(out) in printed
+    assert "Lv.1" in progress
+    assert os.listdir(out.parent) == ["table.json"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of orca, social-force"),
+        (["--levels", "1", "7"], "Unknown level 7. Choose among 1, 2, 3, 4"),
+        (["--episodes", "0"], "--episodes must be at least 1, not 0"),
+        (["--period", "0.03"], "multiple of the physics step 0.02 s, not 0.03"),
+        (["--period", "inf"], "multiple of the physics step"),
+        (["--lcf", "1", "0"], "range (least, most)"),
+        (["--out", "{file}/below/table.json"], "Name a folder that you can write to"),
+        (["--out", "{folder}"], "is a folder. Name a JSON file"),
+    ],
+)
+def test_a_wrong_request_is_one_line_and_exit_code_2(tmp_path, capsys, wrong, told):
+    (tmp_path / "file").write_text("mine")
+    wrong = [word.format(file=tmp_path / "file", folder=tmp_path) for word in wrong]
+    assert main(["evaluate", "--pedestrian", "orca", "--out", str(tmp_path / "table.json"), *wrong]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("macid: error: ") and err.count("\n") == 1 and told in err
+    assert os.listdir(tmp_path) == ["file"] and (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["evaluate", "--pedestrian", "orca", "--engine", "bullet"], "native"),
+        (["evaluate", "--pedestrian", "orca", "--levels", "one"], "--levels"),
+        (["evaluate"], "--pedestrian"),
+        (["evalute"], "evaluate"),
+        ([], "command"),
+    ],
+)
+def test_what_the_parser_refuses_has_exit_code_2(capsys, arguments, told):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    assert told in capsys.readouterr().err.splitlines()[-1]

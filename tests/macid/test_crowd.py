@@ -1,0 +1,113 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from macid.crowd import Crowd, CrowdConfig
+from macid.layout import GOAL_DISTANCE, Layout, random_layout
+from macid.pedestrians import make_controller
+from macid.state import GOAL_RADIUS, RADIUS, parking_place
+
+NOWHERE = [0.0, 500.0]  # a goal that nobody reaches
+
+
+def constant(command):
+    command = jnp.asarray(command, jnp.float32)
+    return lambda state, boxes, goals, lcf: jnp.broadcast_to(command, (*state.position.shape[:-1], 3))
+
+
+def episode_of(crowd, places, goals):
+    """The episode, one world, of people at `places` who look along x and have `goals`."""
+    places, goals = np.array(places, float), np.array(goals, float)
+    start = crowd.reset(np.random.default_rng(0))
+    state = jax.jit(crowd.engine.init)(places[None], np.zeros((1, len(places))))
+    distance = jnp.asarray(np.linalg.norm(goals - places, axis=-1)[None], jnp.float32)
+    return start._replace(physics=state, goals=jnp.asarray(goals[None], jnp.float32), distance=distance)
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"number": 0}, "at least one person, not 0"),
+        ({"period": 0.03}, "multiple of the physics step 0.02 s, not 0.03"),
+        ({"period": 0.0}, "multiple of the physics step"),
+        ({"period": -0.02}, "multiple of the physics step"),
+        ({"period": float("inf")}, "multiple of the physics step"),
+        ({"period": float("nan")}, "multiple of the physics step"),
+        ({"lcf": (1.0, 0.0)}, r"range \(least, most\), not \(1.0, 0.0\)"),
+        ({"lcf": (0.0, float("inf"))}, "range"),
+    ],
+)
+def test_a_bad_config_is_told(fields, told):
+    with pytest.raises(ValueError, match=told):
+        CrowdConfig(**fields)
+
+
+def test_the_papers_episode_has_1000_decisions():
+    assert (CrowdConfig().steps, CrowdConfig().substeps) == (1000, 1)
+    assert (CrowdConfig(period=0.1).steps, CrowdConfig(period=0.1).substeps) == (200, 5)
+
+
+def test_an_episode_begins_as_the_config_says():
+    crowd = Crowd(random_layout(np.random.default_rng(0), 3, 30.0), CrowdConfig(number=8, lcf=(0.5, 0.75)), nworld=2)
+    start = crowd.reset(np.random.default_rng(1))
+    state = crowd.engine.read(start.physics)
+    towards = np.asarray(start.goals - state.position)
+    np.testing.assert_allclose(start.distance, np.linalg.norm(towards, axis=-1), rtol=1e-5)
+    np.testing.assert_allclose(state.yaw, np.arctan2(towards[..., 1], towards[..., 0]), atol=1e-4)
+    assert start.distance.min() >= GOAL_DISTANCE[0] - 1e-4 and start.distance.max() <= GOAL_DISTANCE[1] + 1e-4
+    assert start.lcf.min() >= 0.5 and start.lcf.max() <= 0.75 and len(np.unique(start.lcf)) > 8
+    assert start.walking.all() and not start.collisions.any() and not start.travelled.any() and not state.contact.any()
+    assert not np.array_equal(state.position[0], state.position[1])
+
+
+def test_a_walk_by_hand():
+    """Three people: a walk to the goal, standing 5 mm from the wall, and standing there with the goal at hand."""
+    wall = 10.0 - RADIUS - 0.005
+    crowd = Crowd(Layout(20.0, []), CrowdConfig(number=3))
+    start = episode_of(crowd, [[-5, 0], [5, wall], [-5, wall]], [[0, 0], NOWHERE, [-5, wall - 0.4]])
+    end, positions = crowd.rollout(start, constant([[1, 0, 0], [0, 0, 0], [0, 0, 0]]), 300)
+    x = np.asarray(positions[:, 0, 0, 0])
+    on_map = x < 500
+    assert end.walking.tolist() == [[False, True, False]]
+    assert end.collisions.tolist() == [[0, 300, 1]]
+    last, before = 0.0 - x[on_map][-1], 0.0 - x[on_map][-2]
+    assert GOAL_RADIUS < last < before < GOAL_RADIUS + 0.06  # gone at the first decision within the goal's radius
+    assert end.travelled[0, 0] == pytest.approx(5.0 - GOAL_RADIUS, abs=0.025)
+    assert end.travelled[0, 0] >= 5.0 - GOAL_RADIUS
+    assert abs(end.travelled[0, 1:]).max() < 1e-3
+    np.testing.assert_array_equal(positions[-1, 0, 0], parking_place(0))
+    np.testing.assert_array_equal(crowd.engine.read(end.physics).position[0, 2], parking_place(2))
+    np.testing.assert_allclose(positions[-1, 0, 1], [5, wall], atol=1e-3)
+    assert end.distance.tolist() == start.distance.tolist()
+
+
+def test_who_has_arrived_is_in_nobodys_way():
+    crowd = Crowd(Layout(20.0, []), CrowdConfig(number=2))
+    start = episode_of(crowd, [[-3, 0], [0, 0]], [NOWHERE, [0.1, 0]])  # the second stands in the way, at its goal
+    end, positions = crowd.rollout(start, constant([[1, 0, 0], [0, 0, 0]]), 300)
+    assert end.collisions.tolist() == [[0, 0]]
+    assert positions[-1, 0, 0, 0] > 2.5
+    assert end.travelled[0, 0] == pytest.approx(float(crowd.engine.read(end.physics).position[0, 0, 0]) + 3, abs=1e-3)
+
+
+def test_the_count_of_collisions_does_not_depend_on_the_period():
+    places = [[-2, 0], [2, 0.2], [0, 2], [0.3, -2], [-2, -2], [2, 2]]
+    command = np.concatenate([-np.array(places) * 0.5, np.full((6, 1), 0.3)], axis=-1)
+    ends = []
+    for period, steps in ((0.02, 200), (0.1, 40)):
+        crowd = Crowd(Layout(8.0, [[0.0, 0.0, 0.3, 0.3, 0.2]]), CrowdConfig(6, period, goal_distance=(1.0, 9.0)))
+        start = episode_of(crowd, places, [NOWHERE] * 6)
+        ends.append(crowd.rollout(start, constant(command), steps)[0])
+    assert ends[0].collisions.sum() > 200
+    np.testing.assert_array_equal(ends[0].collisions, ends[1].collisions)
+    np.testing.assert_allclose(ends[0].travelled, ends[1].travelled, rtol=1e-5)
+
+
+def test_the_same_seed_gives_the_same_episode_bit_for_bit():
+    crowd = Crowd(random_layout(np.random.default_rng(0), 2, 16.0), CrowdConfig(number=10), nworld=2)
+    controller = make_controller("social-force", 0.02)
+    one, other, same = (crowd.rollout(crowd.reset(np.random.default_rng(s)), controller, 150) for s in (3, 4, 3))
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(same), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(one[1], other[1])

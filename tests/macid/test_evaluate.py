@@ -1,0 +1,54 @@
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+from macid import metrics
+from macid.crowd import Crowd, CrowdConfig
+from macid.evaluate import evaluate_level, format_table
+from macid.layout import load_level
+from macid.pedestrians import make_controller
+from macid.scene import PersonConfig
+
+COLUMNS = ("SR10", "CP", "PE", "arrived")
+NEAR = CrowdConfig(number=7, duration=6.0, period=0.1, goal_distance=(2.0, 7.0))
+
+
+def test_a_row_is_its_episodes_metrics():
+    row = evaluate_level("social-force", 1, episodes=2, seed=5, config=NEAR)
+    layout = load_level(1)
+    crowd = Crowd(layout, CrowdConfig(25, 0.1, 6.0, goal_distance=(2.0, 7.0)), nworld=2)
+    end, _ = crowd.rollout(crowd.reset(np.random.default_rng((5, 1))), make_controller("social-force", 0.1))
+    arrived, collisions = ~np.asarray(end.walking), np.asarray(end.collisions)
+    each = [metrics.success_rate(arrived[i], collisions[i]) for i in range(2)]
+    assert 0 < row["arrived"] == pytest.approx(100 * arrived.mean())
+    assert (row["SR10"], row["SR10_std"]) == pytest.approx((np.mean(each), np.std(each)))
+    assert row["CP"] == pytest.approx(collisions.mean())
+    assert 0 < row["PE"] <= 100
+    assert (row["pedestrian"], row["level"], row["people"], row["episodes"]) == ("social-force", 1, 25, 2)
+    assert (row["config"]["number"], row["config"]["period"], row["seed"]) == (25, 0.1, 5)
+    assert json.loads(json.dumps(row, allow_nan=False))["config"]["person"] == PersonConfig().__dict__
+
+
+def test_without_arrivals_path_efficiency_is_left_open():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        row = evaluate_level("social-force", 1, episodes=2, config=CrowdConfig(duration=0.2, period=0.1))
+    assert row["PE"] is row["PE_std"] is None
+    assert row["arrived"] == row["SR10"] == 0
+    json.dumps(row, allow_nan=False)
+    assert format_table([row]).splitlines()[1].split() == ["social-force", "Lv.1", "25", *"0.0 +- 0.0".split()] + [
+        *f"{row['CP']:.1f} +- {row['CP_std']:.1f}".split(),
+        "-",
+        *"0.0 +- 0.0".split(),
+    ]
+
+
+def test_the_table_lines_up():
+    row = {"pedestrian": "orca", "level": 4, "people": 200}
+    row |= {name: 100.0 for name in COLUMNS} | {f"{name}_std": 12.34 for name in COLUMNS}
+    lines = format_table([row, row | {"PE": None, "PE_std": None}]).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert all(name in lines[0] for name in ("model", "level", "people", *COLUMNS))
+    assert lines[1].count("100.0 +- 12.3") == 4
