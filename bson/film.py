@@ -4,6 +4,7 @@ A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m, heigh
 are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is missing.
 """
 
+import atexit
 import contextlib
 import copy
 import math
@@ -11,6 +12,7 @@ import os
 import pathlib
 import platform
 import tempfile
+import weakref
 
 import mujoco
 import numpy as np
@@ -38,6 +40,9 @@ _CHASE_ELEVATION = (math.radians(27), math.radians(74))  # the least, and the mo
 _SIZE = (1520, 496)
 _CHASE, _MAP, _FRONT = (10, 46, 640, 440), (660, 46, 440, 440), (1110, 46, 400, 224)
 _PANEL = (1110, 280, 400, 206)
+
+
+_open_films = weakref.WeakSet()  # to be closed before the graphics library goes
 
 
 class Unavailable(RuntimeError):
@@ -77,8 +82,13 @@ def _gl_context(width, height):
     return context
 
 
+def _close_all():
+    for open_film in list(_open_films):
+        open_film.close()
+
+
 def lcf_colour(lcf):
-    """RGB (..., 3) in [0, 1] of `lcf` (...): red where adversarial (-2), pale yellow at 0, blue where cooperative (2)."""
+    """RGB (..., 3) in [0, 1] of `lcf` (...): red if adversarial (-2), pale yellow at 0, blue if cooperative (2)."""
     stops = np.linspace(*LCF_RANGE, len(LCF_STOPS))
     return np.stack([np.interp(lcf, stops, channel) for channel in LCF_STOPS.T], axis=-1)
 
@@ -107,10 +117,14 @@ class Film:
             model.geom(f"box{index}").size[2] -= 0.002 * (index % 7)
         self._boxes = [model.body(f"box{index}").id for index in range(model.nmocap)]
         self._joint = model.joint("robot").qposadr[0]
-        self._floor = model.geom("floor").id  # the scene lists the model's visible geoms in their order, the floor first
+        self._floor = model.geom("floor").id  # 0: the first in the scene, too
         self._camera = model.camera("robot/front").id
         self._data = mujoco.MjData(model)
         self._gl = _gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
+        if not _open_films:  # after EGL's own clean-up was registered, so that this one comes first
+            atexit.unregister(_close_all)
+            atexit.register(_close_all)
+        _open_films.add(self)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, model.ngeom + 4000)
@@ -230,10 +244,10 @@ class Film:
             self._add(box, [0.10, 0.13, 0.045], [x + 0.13 * c, y + 0.13 * s, HEIGHT - 0.2], [0.1, 0.1, 0.12, 1.0], yaw)
 
     def _draw_goal(self, goal):
-        """A disc as large as the goal is, a pole and a flag."""
+        """A disc as large as the goal is, a translucent column, and a flag above the reach of the robot's camera."""
         tube = mujoco.mjtGeom.mjGEOM_CYLINDER
         x, y = goal
-        self._add(tube, [0.035, 1.5, 0], [x, y, 1.5], [*_GOAL_RGB, 1.0], glow=0.4)
+        self._add(tube, [0.035, 0.9, 0], [x, y, 2.1], [*_GOAL_RGB, 1.0], glow=0.4)
         self._add(mujoco.mjtGeom.mjGEOM_BOX, [0.34, 0.012, 0.22], [x + 0.34, y, 2.78], [*_GOAL_RGB, 1.0], glow=0.4)
         self._add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*_GOAL_RGB, 0.75], glow=0.4, shadow=False)
         self._add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*_GOAL_RGB, 0.22], glow=0.5, shadow=False)
@@ -380,7 +394,7 @@ class Film:
         nearest = episode.nearest_person[step]
         readings = [
             ("Time", f"{step * episode.period:.1f} s"),
-            ("Speed", f"{episode.velocity[step, 0]:.2f} m/s"),
+            ("Speed", f"{round(float(episode.velocity[step, 0]), 2) + 0.0:.2f} m/s"),
             ("To the goal", f"{distance:.1f} m"),
             ("Nearest person", f"{max(nearest, 0.0):.2f} m" if np.isfinite(nearest) else "-"),
         ]
@@ -550,7 +564,7 @@ def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.84, col
 
 
 def still(model, episode, path, step=None, scale=1.0, title=""):
-    """Saves one picture of `episode` as the PNG `path`, at control step `step` (default: the middle); returns the path."""
+    """Saves `episode` at control step `step` (default: the middle) as the PNG `path`; returns the path."""
     import cv2
 
     step = len(episode.pose) // 2 if step is None else step

@@ -23,6 +23,8 @@ import numpy as np
 from bson.robot import RobotConfig
 from bson.sensors import Lidar2D
 
+_LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # the products of a least-squares fit
+
 
 @dataclass(frozen=True)
 class VfhConfig:
@@ -43,8 +45,9 @@ class VfhConfig:
     keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
     follow_beyond: float = 1.3  # off the goal: who has to turn this far follows the wall
     follow_free: float = 2.0  # way that is free enough along a followed wall
-    leave_free: float = 3.0  # way towards the goal that is free enough to end following
+    leave_free: float = 4.0  # way towards the goal that is free enough to end following
     follow_gain: float = 0.5  # that following must have brought to end
+    follow_time: float = 35.0  # after which a wall is followed the other way
 
     # people
     person_radius: float = 0.35
@@ -59,10 +62,10 @@ class VfhConfig:
     # motions
     horizon: float = 2.6
     step: float = 0.2  # of a motion's rollout
-    speeds: tuple = (0.0, 0.6, 1.2, 1.6, 2.0)  # ahead [m/s]
-    directions: tuple = (0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 58.0, 80.0, 110.0)  # to either side [deg]
+    speeds: tuple = (0.0, 0.7, 1.4, 2.0)  # ahead [m/s]
+    directions: tuple = (0.0, 7.0, 15.0, 26.0, 42.0, 65.0, 100.0)  # to either side [deg]
     back_speeds: tuple = (-0.7, -1.5)  # [m/s]
-    back_directions: tuple = (0.0, 25.0, 60.0)  # to either side [deg]
+    back_directions: tuple = (0.0, 45.0)  # to either side [deg]
     person_gap: float = 0.7  # to a person, below which a motion costs
     wall_gap: float = 0.35  # to a wall, below which a motion costs
     patience: float = 1.2  # time constant with which what comes later counts less
@@ -90,6 +93,7 @@ class Vfh:
         self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
         self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
+        self._followed = 0  # calls since then
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation):
@@ -133,13 +137,13 @@ class Vfh:
         if len(beams) < c.person_beams:
             return np.zeros((0, 2)), met
         ranges = scan[beams]
-        parted = (np.diff(beams) > 1) | (np.abs(np.diff(ranges)) > c.object_jump)
+        parted = (beams[1:] - beams[:-1] > 1) | (np.abs(ranges[1:] - ranges[:-1]) > c.object_jump)
         starts = np.concatenate([[0], np.flatnonzero(parted) + 1])
         counts = np.diff(np.append(starts, len(beams)))
         points = ranges[:, None] * self._beam_directions[beams]
         first, last = points[starts], points[starts + counts - 1]
-        size = np.hypot(*(last - first).T)
-        likely = (counts >= c.person_beams) & (size < 2.1 * c.person_radius)
+        squared_size = ((last - first) ** 2).sum(axis=1)
+        likely = (counts >= c.person_beams) & (squared_size < (2.1 * c.person_radius) ** 2)
         if not likely.any():
             return np.zeros((0, 2)), met
         chosen = np.repeat(likely, counts)
@@ -162,15 +166,14 @@ class Vfh:
         middle = (angles[starts] + angles[starts + counts - 1]) / 2
         distance = np.sqrt(np.minimum.reduceat(px * px + py * py, starts)) + radius
         x, y = distance * np.cos(middle), distance * np.sin(middle)
-        rows = np.empty((6, len(label)))
+        parts, products = np.empty((3, len(label))), np.empty((6, len(label)))
         for _ in range(2):
             dx, dy = px - x[label], py - y[label]
             length = np.sqrt(dx * dx + dy * dy)
             error = length - radius
-            dx, dy = dx / length, dy / length
-            for row, (a, b) in zip(rows, ((dx, dx), (dx, dy), (dy, dy), (dx, error), (dy, error), (error, error))):
-                np.multiply(a, b, out=row)
-            xx, xy, yy, bx, by, squared = np.add.reduceat(rows, starts, axis=1)
+            parts[0], parts[1], parts[2] = dx / length, dy / length, error
+            np.multiply(parts[_LEFT], parts[_RIGHT], out=products)
+            xx, xy, yy, bx, by, squared = np.add.reduceat(products, starts, axis=1)
             xx, yy = xx + 1e-3 * counts, yy + 1e-3 * counts
             determinant = xx * yy - xy * xy
             x, y = x + (yy * bx - xy * by) / determinant, y + (xx * by - xy * bx) / determinant
@@ -212,8 +215,10 @@ class Vfh:
     def _walls(self, scan, people_beams):
         """The nearest point (sectors, 2) [m] in each sector of the scan without people, robot frame."""
         if people_beams.any():
-            rest = np.flatnonzero(~people_beams)
-            scan = np.interp(np.arange(len(scan)), rest, scan[rest]) if len(rest) else scan
+            hidden, rest = np.flatnonzero(people_beams), np.flatnonzero(~people_beams)
+            if len(rest):
+                scan = scan.copy()
+                scan[hidden] = np.interp(hidden, rest, scan[rest])
         sectors = scan.reshape(-1, self.config.sector_beams)
         nearest = sectors.argmin(axis=1) + np.arange(len(sectors)) * self.config.sector_beams
         return scan[nearest, None] * self._beam_directions[nearest] + [self.config.mount, 0.0]
@@ -240,7 +245,11 @@ class Vfh:
             off = _wrap(direction - bearing)
             if abs(off) > c.follow_beyond:
                 self._follow = (1.0 if off > 0 else -1.0, distance)
+                self._followed = 0
         else:
+            self._followed += 1
+            if self._followed * c.period > c.follow_time:  # round and round
+                self._follow, self._followed = (-self._follow[0], self._follow[1]), 0
             direction = self._along_wall(directions, free, ranges)
         self._steered = self._yaw + direction
         return c.lookahead * np.array([math.cos(direction), math.sin(direction)])

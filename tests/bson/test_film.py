@@ -1,4 +1,4 @@
-"""Films show what happened: people in the colour of their LCF, robot and goal where they are; all or nothing on disk."""
+"""Films show what happened: people coloured by LCF, robot and goal where they are; all or nothing on disk."""
 
 import dataclasses
 import os
@@ -108,9 +108,10 @@ def test_every_view_shows_something_and_steps_differ(model):
 @needs_gl
 def test_the_robot_is_visible_behind_a_wall(model):
     episode = straight(30)
-    open_ground, elevation = film._chase(episode, 15)
+    heading, elevation = film._chase(episode, 15)
     boxes = episode.boxes.copy()
-    boxes[4] = [*(episode.pose[15, :2] - 0.9 * np.array([np.cos(open_ground), np.sin(open_ground)])), 0.1, 2, open_ground]
+    behind = episode.pose[15, :2] - 0.9 * np.array([np.cos(heading), np.sin(heading)])
+    boxes[4] = [*behind, 0.1, 2, heading]
     assert film._chase(dataclasses.replace(episode, boxes=boxes), 15)[1] > elevation + 0.2
 
 

@@ -59,7 +59,7 @@ def test_a_folder_that_cannot_be_is_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(UsageError("no such"), 2), (ValueError("no such"), 2), (FileNotFoundError("no such"), 2), (KeyboardInterrupt(), 130)],
+    [(kind("no such"), 2) for kind in (UsageError, ValueError, FileNotFoundError)] + [(KeyboardInterrupt(), 130)],
 )
 def test_a_users_error_is_one_line_and_an_exit_code(capsys, error, code):
     def main():

@@ -94,7 +94,8 @@ def test_a_ray_that_starts_inside_does_not_see_it_and_none_looks_back():
 
 def test_rays_by_hand():
     origin, ahead = np.zeros(2), np.array([[1.0, 0.0]])
-    assert geometry.ray_disc_distance(origin, ahead, np.array([[5.0, 3.0]]), 3.5)[0, 0] == pytest.approx(5 - 13**0.5 / 2)
+    disc = geometry.ray_disc_distance(origin, ahead, np.array([[5.0, 3.0]]), 3.5)
+    assert disc[0, 0] == pytest.approx(5 - 13**0.5 / 2)
     boxes = np.array([[5.0, 0.0, 1.0, 2.0, 0.0], [5.0, 0.0, 1.0, 2.0, np.pi / 2], [5.0, 0.0, 1.0, 1.0, np.pi / 4]])
     np.testing.assert_allclose(geometry.ray_box_distance(origin, ahead, boxes)[0], [4.0, 3.0, 5 - 2**0.5])
 

@@ -64,7 +64,7 @@ def test_an_observation_by_hand():
 
 @pytest.mark.parametrize(("gap", "reading"), [(6.99, 6.99), (7.01, 7.0), (np.inf, 7.0)])
 def test_a_miss_reads_the_range_and_no_relative_velocity(gap, reading):
-    boxes = np.array([[gap + 1.0, 0.0, 1.0, 0.5, 0.0]]) if np.isfinite(gap) else np.array([[900.0, 900.0, 1.0, 1.0, 0.0]])
+    boxes = np.array([[min(gap, 900.0) + 1.0, 0.0, 1.0, 0.5, 0.0]])
     rays = split(observe(lone(), boxes, np.zeros((1, 2))))["rays"][0]
     np.testing.assert_allclose(rays[0], [reading, -0.5 * (gap < RAY_RANGE), 0.0], atol=1e-12)
     np.testing.assert_allclose(rays[1:], np.tile([7.0, 0.0, 0.0], (RAYS - 1, 1)))

@@ -29,7 +29,10 @@ def test_in_the_open_the_path_is_the_goal():
     np.testing.assert_array_equal(Router(Layout(20.0, [])).path(np.array([-9.0, 9.0]), goal), goal[None])
 
 
-@pytest.mark.parametrize("layout", [maze_layout(np.random.default_rng(5), 1.0, 25.0), load_level(4)], ids=["maze", "lv4"])
+MAZE = maze_layout(np.random.default_rng(5), 1.0, 25.0)
+
+
+@pytest.mark.parametrize("layout", [MAZE, load_level(4)], ids=["maze", "lv4"])
 def test_every_leg_is_clear_for_a_person(layout):
     rng = np.random.default_rng(0)
     router, (starts, goals) = Router(layout), (sample_people(rng, layout, 60, gap=0.15) for _ in range(2))

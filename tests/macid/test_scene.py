@@ -73,7 +73,8 @@ def test_boxes_stand_where_the_layout_says(model):
         height = scene.OUTER_WALL_HEIGHT if i < 4 else scene.WALL_HEIGHT
         np.testing.assert_allclose(model.geom(f"box{i}").size, [half_x, half_y, height / 2])
         np.testing.assert_allclose(data.geom(f"box{i}").xpos, [x, y, height / 2])
-        np.testing.assert_allclose(data.geom(f"box{i}").xmat.reshape(3, 3)[:2, 0], [np.cos(yaw), np.sin(yaw)], atol=1e-9)
+        along = data.geom(f"box{i}").xmat.reshape(3, 3)[:2, 0]
+        np.testing.assert_allclose(along, [np.cos(yaw), np.sin(yaw)], atol=1e-9)
 
 
 def test_who_can_touch_whom(model):

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from bson.agents import BUILT_IN, AgentError, act, load_agent
+
+OBSERVATION = {
+    "goal": np.array([10.0, 0.0], np.float32),
+    "velocity": np.zeros(2, np.float32),
+    "imu": np.zeros(6, np.float32),
+    "lidar": np.full(720, 30.0, np.float32),
+}
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_agent_acts_within_bounds(name):
+    agent = load_agent(name)()
+    if hasattr(agent, "reset"):
+        agent.reset(0)
+    for goal in ([10.0, 0.0], [-5.0, 3.0], [0.1, -0.1]):
+        action = act(agent, {**OBSERVATION, "goal": np.array(goal, np.float32)}, name)
+        assert (np.abs(action) <= 1.0).all()
+
+
+def test_the_goal_agent_turns_towards_the_goal():
+    goal = load_agent("goal")()
+    assert goal({**OBSERVATION, "goal": np.array([0.0, 5.0])})[1] > 0.5
+    assert goal({**OBSERVATION, "goal": np.array([0.0, -5.0])})[1] < -0.5
+    assert goal(OBSERVATION)[0] > 0.5
+
+
+def test_the_random_agent_follows_its_seed():
+    first, second = load_agent("random")(), load_agent("random")()
+    first.reset(1)
+    second.reset(1)
+    assert np.array_equal(first(OBSERVATION), second(OBSERVATION))
+    assert not np.array_equal(first(OBSERVATION), first(OBSERVATION))
+
+
+def test_an_agent_may_be_a_file_a_function_or_a_class(tmp_path, monkeypatch):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "class Slow:\n    def __call__(self, observation):\n        return [0.1, 0.0]\n\n"
+        "def agent(observation):\n    return [0.2, 0.0]\n"
+    )
+    assert act(load_agent(str(file))(), OBSERVATION)[0] == 0.2
+    make = load_agent(f"{file}:Slow")
+    assert act(make(), OBSERVATION)[0] == 0.1 and make() is not make()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert act(load_agent("mine:agent")(), OBSERVATION)[0] == 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("vhf", "Choose one of stop, random, goal, vfh"),
+        ("nowhere:agent", "can't import 'nowhere'"),
+        ("missing.py", "no file 'missing.py'"),
+        ("bson.agents.scripted:go", "no 'go' there.*goal"),
+        ("bson.metrics:GAMMA", "not callable"),
+        ("bson.metrics:Episode", "without arguments"),
+    ],
+)
+def test_an_agent_that_cannot_be_had_is_told(name, told):
+    with pytest.raises(AgentError, match=told):
+        load_agent(name)
+
+
+@pytest.mark.parametrize("answer", [[0.0], [np.nan, 0.0], "left", None, np.zeros((1, 2)), [0.0, np.inf]])
+def test_an_answer_that_is_no_action_is_told(answer):
+    with pytest.raises(AgentError, match="an action is two"):
+        act(lambda observation: answer, OBSERVATION, "mine")
+
+
+def test_an_agents_own_failure_keeps_its_cause():
+    with pytest.raises(RuntimeError, match="'mine' raised KeyError") as caught:
+        act(lambda observation: observation["camera"], OBSERVATION, "mine")
+    assert isinstance(caught.value.__cause__, KeyError)

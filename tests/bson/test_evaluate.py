@@ -1,0 +1,105 @@
+import json
+
+import numpy as np
+import pytest
+
+from bson.agents import load_agent
+from bson.evaluate import results, run_episodes
+from bson.metrics import measure
+from bson.report import make_report
+from bson.session import Session
+from bson.suites import load_suite, suite_names
+from bson.task import TaskConfig
+from bson.tracks import make_track
+
+TRACK = make_track("local", "lidar2d")
+SMALL = TaskConfig(num_pedestrians=5, map_size=20.0, goal_distance=(6.0, 15.0), horizon=120)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return run_episodes(load_agent("goal"), SMALL, TRACK, [3, 1, 4, 15], batch=2)
+
+
+def test_episodes_come_in_the_order_of_their_seeds_and_whole(episodes):
+    assert [episode.seed for episode in episodes] == [3, 1, 4, 15]
+    for episode in episodes:
+        steps = len(episode.pose)
+        assert episode.duration == pytest.approx(0.1 * (steps - 1))
+        assert episode.people.shape == (steps, 5, 3) and episode.nearest_person.shape == (steps,)
+        assert episode.arrived == (episode.final_distance <= 0.5)
+        assert episode.arrived or steps == 121
+        assert episode.final_distance == pytest.approx(np.hypot(*(episode.goal - episode.pose[-1, :2])))
+        way = np.linalg.norm(np.diff(episode.pose[:, :2], axis=0), axis=-1).sum()
+        assert way <= episode.travelled + 1e-9 and episode.travelled == pytest.approx(way, rel=0.02)
+
+
+def test_an_episode_does_not_depend_on_the_batch(episodes):
+    alone = run_episodes(load_agent("goal"), SMALL, TRACK, [4], batch=1)[0]
+    assert np.array_equal(alone.qpos, episodes[2].qpos)
+    assert measure(alone) == measure(episodes[2])
+
+
+def test_the_evaluation_and_a_plain_loop_give_the_same_episode(episodes):
+    session = Session(SMALL, TRACK, 1)
+    observation, done = session.reset([0], [3]), False
+    goal = load_agent("goal")()
+    while not done:
+        action = goal({key: value[0] for key, value in observation.items()})
+        observation, _, terminated, truncated = session.step([0], action[None])
+        done = terminated[0] or truncated[0]
+    assert session.world.travelled[0] == episodes[0].travelled
+    assert session.world.collisions[0] == episodes[0].collisions
+
+
+def test_a_class_gets_an_object_a_world_and_is_reset_with_each_seed():
+    class Noted:
+        seeds = []
+
+        def reset(self, seed):
+            self.seeds.append(seed)
+
+        def __call__(self, observation):
+            return [0.0, 0.0]
+
+    run_episodes(Noted, SMALL.replace(horizon=3), TRACK, [7, 8, 9], batch=2)
+    assert sorted(Noted.seeds) == [7, 8, 9]
+
+
+def test_results_are_json_with_the_promised_keys(episodes):
+    content = json.loads(json.dumps(results("goal", "smoke", SMALL, episodes), allow_nan=False))
+    assert {"agent", "suite", "config", "versions", "summary", "episodes"} <= set(content)
+    assert list(content["summary"])[:5] == ["SNS", "RC", "Coll", "SP", "PE"]
+    assert content["summary"]["SNS"] == pytest.approx(np.mean([row["SNS"] for row in content["episodes"]]))
+    assert content["config"]["num_pedestrians"] == 5
+
+
+def test_the_report_shows_the_score_and_needs_no_other_file(episodes):
+    content = results("goal & co", "smoke", SMALL, episodes, people=5)
+    page = make_report(content, episodes, no_video="No video: no GL <here>.")
+    assert f"<b>{content['summary']['SNS']:.1f}</b>" in page
+    assert "goal &amp; co" in page and "No video: no GL &lt;here&gt;." in page
+    assert page.count("data:image/png;base64,") >= 2
+    assert 'src="http' not in page and "href=" not in page
+
+
+def test_suites_are_as_the_paper_says_and_apart():
+    paper = load_suite("paper")
+    assert len(set(paper.seeds)) == 100
+    assert (paper.config.people, paper.config.obstacle_density, paper.config.lcf) == (24, 0.0, (-2.0, 2.0))
+    assert not set(paper.seeds) & set(load_suite("smoke").seeds)
+    assert {"paper", "smoke"} <= set(suite_names())
+    assert paper.drawn(3) == list(paper.seeds[:3])
+    assert not set(paper.drawn(seed=1)) & set(paper.seeds)
+    with pytest.raises(ValueError, match="paper.*smoke"):
+        load_suite("papers")
+    with pytest.raises(ValueError, match="1 to 100"):
+        paper.drawn(101)
+
+
+def test_a_straight_free_drive_in_simulation_scores_its_route_completion():
+    config = TaskConfig(num_pedestrians=0, map_size=60.0, goal_distance=(30.0, 40.0))
+    (episode,) = run_episodes(lambda: lambda o: [0.9, 0.5 * np.arctan2(o["goal"][1], o["goal"][0])], config, TRACK, [0])
+    done = measure(episode)
+    assert episode.arrived and done["Coll"] == 0
+    assert done["SNS"] == pytest.approx(100 * done["RC"], rel=0.005)
