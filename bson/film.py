@@ -151,17 +151,14 @@ class Film:
                 context.free()
             gl.free()
 
-    def frame(self, episode, step=-1, speed=None, collisions=None):
+    def frame(self, episode, step=-1, speed=None):
         """The composed picture of `episode` at control step `step`.
 
-        speed: of the playback, for the header. collisions: steps in collision up to here, for the panel; at the last
-        step the episode's own number serves.
+        speed: of the playback, for the header.
         """
         if self._gl is None:
             raise ValueError("This Film is closed.")
         step = range(len(episode.pose))[step]
-        if collisions is None and step == len(episode.pose) - 1:
-            collisions = episode.collisions
         self._gl.make_current()
         self._pose(episode, step)
         mujoco.mjv_updateScene(
@@ -187,7 +184,7 @@ class Film:
         for view, label in ((_CHASE, "Chase view"), (_MAP, "Map, north up"), (_FRONT, "Robot's camera")):
             self._label_view(page, view, label)
         self._header(page, episode, speed)
-        self._panel(page, episode, step, collisions)
+        self._panel(page, episode, step)
         return page
 
     def map_pixel(self, episode, place):
@@ -383,7 +380,7 @@ class Film:
             title = title.rstrip(".")[:-1] + "..." if len(title) > 4 else title[:-1]
         _text(page, title, (12 * unit, base), 0.66 * unit, _INK, bold=True)
 
-    def _panel(self, page, episode, step, collisions):
+    def _panel(self, page, episode, step):
         """The readings and the legend."""
         import cv2
 
@@ -397,9 +394,8 @@ class Film:
             ("Speed", f"{round(float(episode.velocity[step, 0]), 2) + 0.0:.2f} m/s"),
             ("To the goal", f"{distance:.1f} m"),
             ("Nearest person", f"{max(nearest, 0.0):.2f} m" if np.isfinite(nearest) else "-"),
+            ("In collision", f"{episode.collisions_so_far[step]} steps"),
         ]
-        if collisions is not None:
-            readings.append(("In collision", f"{collisions} steps"))
         column = width / 3
         for index, (name, value) in enumerate(readings):
             x, y = left + 14 * unit + column * (index % 3), top + 22 * unit + 50 * unit * (index // 3)
@@ -521,11 +517,11 @@ def _ring(image, place, radius, colour, width):
     cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, _thick(width), cv2.LINE_AA, 4)
 
 
-def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.84, collisions=None, progress=None):
-    """Writes `episode` as the VP9 video `path` (.webm), which browsers play; returns the path.
+def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.75, progress=None):
+    """Writes `episode` as the VP8 video `path` (.webm), which browsers play; returns the path.
 
     A longer episode than `max_frames` steps is thinned out evenly and plays faster; the header says how fast.
-    collisions: (T + 1,) steps in collision so far, for the panel. progress(done, total) is called after each frame.
+    progress(done, total) is called after each frame.
     Raises Unavailable without OpenGL, OSError where `path` can't be written. All or nothing: no half file is left.
     """
     import cv2
@@ -542,13 +538,12 @@ def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.84, col
     try:
         with Film(model, scale, title) as camera:
             with _silent_stderr():  # of FFmpeg's remark that WebM has no such tag: it needs none
-                writer = cv2.VideoWriter(temporary, cv2.VideoWriter_fourcc(*"VP90"), float(fps), camera.size)
+                writer = cv2.VideoWriter(temporary, cv2.VideoWriter_fourcc(*"VP80"), float(fps), camera.size)
             if not writer.isOpened():
-                raise OSError(f"OpenCV can't write VP9 video to '{path}'.")
+                raise OSError(f"OpenCV can't write VP8 video to '{path}'.")
             try:
                 for done, step in enumerate(steps, start=1):
-                    so_far = None if collisions is None else int(collisions[step])
-                    picture = camera.frame(episode, step, stride * episode.period * fps, so_far)
+                    picture = camera.frame(episode, step, stride * episode.period * fps)
                     writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
                     if progress is not None:
                         progress(done, len(steps))

@@ -38,6 +38,7 @@ class Episode:
     collisions_person: int
     collisions_obstacle: int
     collisions_wall: int
+    collisions_so_far: np.ndarray  # (T + 1,) the count of `collisions` up to each control step
     nearest_person: np.ndarray  # (T + 1,) surface-to-surface; infinity where there is nobody
     goal: np.ndarray  # (2,)
     boxes: np.ndarray  # (B, 5), the first four the outer walls

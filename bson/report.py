@@ -95,7 +95,7 @@ def plot_trajectories(episodes, most=9):
     from matplotlib.patches import Circle, Rectangle
     from matplotlib.transforms import Affine2D
 
-    from bson.film import lcf_colours
+    from bson.film import lcf_colour
 
     ranked = sorted(episodes, key=lambda episode: measure(episode)["SNS"])
     chosen = [ranked[i] for i in np.unique(np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int))]
@@ -110,7 +110,7 @@ def plot_trajectories(episodes, most=9):
             box = Rectangle((-half_x, -half_y), 2 * half_x, 2 * half_y, color="#7d8791", linewidth=0)
             box.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
             axes.add_patch(box)
-        colours = lcf_colours(episode.lcf)
+        colours = lcf_colour(episode.lcf)
         ways = [way for way in np.moveaxis(episode.people[..., :2], 1, 0)]
         axes.add_collection(LineCollection(ways, colors=colours, linewidths=0.8, alpha=0.45))
         for way, colour in zip(ways, colours, strict=True):

@@ -81,12 +81,15 @@ class Session:
         return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}
 
 
+_RECORDED = {"collisions": "collisions_so_far"}  # what the World calls otherwise than the Episode
+
+
 class Recorder:
     """Writes down the episode of one world of a session, from its reset on: `snap()` after the reset and each step."""
 
     def __init__(self, session, index):
         self._world, self._index = session.world, index
-        self._rows = {name: [] for name in ("pose", "velocity", "people", "qpos", "nearest_person")}
+        self._rows = {name: [] for name in ("pose", "velocity", "people", "qpos", "nearest_person", "collisions")}
         self.snap()
 
     def snap(self):
@@ -110,5 +113,5 @@ class Recorder:
             boxes=world.boxes[index].copy(),
             lcf=world.lcf[index].copy(),
             period=world.config.control_period,
-            **{name: np.array(rows) for name, rows in self._rows.items()},
+            **{_RECORDED.get(name, name): np.array(rows) for name, rows in self._rows.items()},
         )

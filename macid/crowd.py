@@ -61,6 +61,7 @@ class Crowd:
         self.layout, self.config, self.nworld = layout, config, nworld
         self.model = scene.crowd_spec(layout, config.number, config.person).compile()
         self.engine = physics.make_physics(engine, self.model, config.number, layout.boxes, nworld)
+        self._init = jax.jit(self.engine.init)
 
     @property
     def boxes(self):
@@ -73,7 +74,7 @@ class Crowd:
         starts = np.stack([sample_people(rng, self.layout, number) for _ in range(self.nworld)])
         goals = np.stack([sample_goals(rng, self.layout, s, self.config.goal_distance) for s in starts])
         towards = goals - starts
-        state = jax.jit(self.engine.init)(starts, np.arctan2(towards[..., 1], towards[..., 0]))
+        state = self._init(starts, np.arctan2(towards[..., 1], towards[..., 0]))
         return Episode(
             state,
             jnp.asarray(goals, jnp.float32),

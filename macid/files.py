@@ -43,10 +43,15 @@ def write_json(path, content):
 
 
 def run_command(program, main):
-    """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130."""
+    """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
+
+    With BSON_TRACEBACK set in the environment, errors are raised as they are.
+    """
     try:
         return main()
     except (ValueError, FileNotFoundError) as error:
+        if os.environ.get("BSON_TRACEBACK"):
+            raise
         print(f"{program}: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

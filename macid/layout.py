@@ -209,9 +209,10 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3):
     for _ in range(_TRIES):
         if not len(missing):
             return goals
-        drawn = rng.uniform(-half, half, (len(missing), 2))
-        apart = np.linalg.norm(drawn - starts[missing], axis=-1)
-        good = (apart >= distance[0]) & (apart <= distance[1]) & (clearance(drawn, boxes) >= RADIUS + gap)
+        apart = np.sqrt(rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing)))  # uniform over the ring's area
+        angle = rng.uniform(-np.pi, np.pi, len(missing))
+        drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        good = (np.abs(drawn) <= half).all(axis=-1) & (clearance(drawn, boxes) >= RADIUS + gap)
         goals[missing[good]] = drawn[good]
         missing = missing[~good]
     raise NoFreeSpace(

@@ -13,7 +13,7 @@ import mujoco.batch
 import numpy as np
 
 from macid import geometry
-from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, CrowdState
+from macid.state import CONTACT_GAP, RADIUS, CrowdState
 
 ENGINES = ("native", "mjx")
 
@@ -163,7 +163,3 @@ def make_physics(engine, model, number, boxes, nworld):
         return MjxPhysics(model, number, boxes, nworld)
     raise ValueError(f"Unknown engine '{engine}'. Choose one of {', '.join(ENGINES)}.")
 
-
-def is_on_map(position):
-    """Whether people at `position` (..., K, 2) are on the map rather than parked far away: (..., K)."""
-    return position[..., 1] < FAR_AWAY / 2

@@ -188,5 +188,5 @@ def crowd_spec(layout, number, config=PersonConfig()):
     add_people(spec, number, config)
     add_boxes(spec, layout.boxes)
     for name in ("max_contact_points", "max_geom_pairs"):
-        spec.add_numeric(name=name, data=[max(16, 3 * number)])
+        spec.add_numeric(name=name, data=[max(16, 8 * number)])
     return spec

@@ -41,13 +41,12 @@ class VfhConfig:
     sector_beams: int = 10  # beams of a sector of the histogram
     clearance: float = 0.45  # half the width that a free way has
     lookahead: float = 6.0  # farther than this nothing blocks
-    blocked_weight: float = 6.0  # of a way's blocked share, against radians off the goal
+    blocked_weight: float = 12.0  # of a way's blocked share, against radians off the goal
     keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
     follow_beyond: float = 1.3  # off the goal: who has to turn this far follows the wall
     follow_free: float = 2.0  # way that is free enough along a followed wall
     leave_free: float = 4.0  # way towards the goal that is free enough to end following
     follow_gain: float = 0.5  # that following must have brought to end
-    follow_time: float = 35.0  # after which a wall is followed the other way
 
     # people
     person_radius: float = 0.35
@@ -93,7 +92,6 @@ class Vfh:
         self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
         self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
-        self._followed = 0  # calls since then
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation):
@@ -232,6 +230,8 @@ class Vfh:
         near = ranges < c.lookahead + c.clearance
         blocking, blocking_ranges = walls[near], ranges[near]
         free = self._free_way(np.array([bearing]), blocking, blocking_ranges)[0]
+        if not len(blocking):
+            self._follow = None
         if self._follow is not None and abs(bearing) <= self._angles[-1]:
             if free >= min(reach, c.leave_free) - 0.2 and distance < self._follow[1] - c.follow_gain:
                 self._follow = None
@@ -245,11 +245,7 @@ class Vfh:
             off = _wrap(direction - bearing)
             if abs(off) > c.follow_beyond:
                 self._follow = (1.0 if off > 0 else -1.0, distance)
-                self._followed = 0
         else:
-            self._followed += 1
-            if self._followed * c.period > c.follow_time:  # round and round
-                self._follow, self._followed = (-self._follow[0], self._follow[1]), 0
             direction = self._along_wall(directions, free, ranges)
         self._steered = self._yaw + direction
         return c.lookahead * np.array([math.cos(direction), math.sin(direction)])
@@ -317,7 +313,9 @@ class Vfh:
         way = self._rollout(velocity[0])
         bearing = math.atan2(target[1], target[0])
         left = np.sqrt(((way[0] - target[0]) ** 2 + (way[1] - target[1]) ** 2).min(axis=1))
-        cost = (left - np.hypot(*target)) / (self._limit[0] * c.horizon)
+        progress = math.hypot(*target) - left
+        progress = np.where(self._speeds < 0, np.minimum(progress, 0.0), progress)  # driving back is for evading only
+        cost = -progress / (self._limit[0] * c.horizon)
         cost += c.heading_weight * (1.0 - np.cos(self._directions - bearing))
         cost += c.change_weight * np.abs(_wrap(self._directions + self._yaw - self._moved))
         cost += c.back_weight * (self._speeds < 0)

@@ -44,6 +44,7 @@ def straight(steps, lcf=(-2.0, 2.0)):
         duration=0.1 * steps,
         arrived=False,
         collisions=0,
+        collisions_so_far=np.zeros(len(pose), int),
         collisions_person=0,
         collisions_obstacle=0,
         collisions_wall=0,
@@ -128,7 +129,7 @@ def test_film_reads_back(model, tmp_path):
     while (read := video.read())[0]:
         frames.append(read[1])
     assert len(frames) == len(ticks) == 9 and ticks[-1] == (9, 9)
-    assert frames[0].shape == (416, 1276, 3)
+    assert frames[0].shape == (372, 1140, 3)
     assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
     assert frames[0][:6].mean() > 240 and frames[0].std() > 20
     assert os.listdir(tmp_path) == ["a.webm"]
