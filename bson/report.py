@@ -153,6 +153,7 @@ def plot_score_over_lcf(episodes):
     axes = figure.subplots()
     axes.plot(lcf, collisions, "o", color=_ACCENT, alpha=0.7)
     axes.set_yscale("symlog", linthresh=1)
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylim(bottom=-0.1)
     axes.set_xlabel("mean LCF of the people who came within 3.6 m")
     axes.set_ylabel("collision steps with people")

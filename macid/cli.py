@@ -42,7 +42,7 @@ def parser():
         help="a pedestrian model on the paper's levels (Table II)",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    evaluate.add_argument("--pedestrian", required=True, help="social-force or orca")
+    evaluate.add_argument("--pedestrian", required=True, help="social-force, social-force-bodies or orca")
     evaluate.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4], help="1: 25, 2: 50, 3: 100, 4: 200 people")
     evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
     evaluate.add_argument("--seed", type=int, default=0)

@@ -251,7 +251,7 @@ class Vfh:
         return c.lookahead * np.array([math.cos(direction), math.sin(direction)])
 
     def _free_way(self, directions, points, ranges):
-        """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] until it meets `points` (m, 2).
+        """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] before `points` (m, 2) [m].
 
         At most the lookahead. ranges (m,): the points' distances. Who is too close to a wall can still turn away.
         """

@@ -4,10 +4,17 @@ state: CrowdState (..., K); boxes: (..., B, 5) rows of `geometry.BOX_COLUMNS`; g
 command: (..., K, 3), world-frame velocity [m/s] and yaw rate [rad/s], for the controller's `period` [s].
 """
 
+import functools
+
 from macid.pedestrians.orca import ORCA
 from macid.pedestrians.social_force import SocialForce
+from macid.state import RADIUS
 
-MODELS = {"social-force": SocialForce, "orca": ORCA}
+MODELS = {
+    "social-force": SocialForce,
+    "social-force-bodies": functools.partial(SocialForce, body_radius=RADIUS),
+    "orca": ORCA,
+}
 
 
 def make_controller(name, period):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from macid.geometry import in_box_frame, norm, rotate
 from macid.pedestrians.facing import face_velocity
-from macid.state import MAX_SPEED, PHYSICS_STEP, RADIUS, RESPONSE
+from macid.state import MAX_SPEED, PHYSICS_STEP, RESPONSE
 
 TINY = 1e-6  # lengths below this have no direction [m]
 _CLOSEST = 0.02  # people who touch count as this far apart [m]
@@ -73,12 +73,14 @@ class SocialForce:
     V(b) = V0 exp(-b / sigma) of `ellipse`, U(d) = U0 exp(-d / R), and w = 1 for what pushes from within the field of
     view around e, 0.5 else: eqs. 1 to 9 with the published constants.
 
+    As published, people are points: r leads from centre to centre, d from a centre to an obstacle's surface. Bodies of
+    0.35 m that are driven so push each other; with `body_radius` = 0.35 m, r counts from surface to surface, as in many
+    simulators, and they hardly touch.
+
     Another person's next step lies in the direction e_b in which it wants to go, as published. A robot among the people
     whose goal nobody is to know gets `position + velocity` for a goal.
 
-    Where this differs from the paper: r counts from surface to surface (`body_radius`), as in most simulators with
-    bodies; the published people are points, and bodies of 0.35 m driven by them push each other for seconds
-    (`body_radius=0` gives them); d counts from a centre to an obstacle's surface, as published. Everybody has the mean desired speed instead of a Gaussian one; the step's length
+    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; the step's length
     is max(0, v_b . e_b) dt instead of |v_b| dt, the same for whoever gets where it wants (with |v_b|, two who meet in
     close quarters can lock and drift off together, each taking the drift for the other's step); speed is capped at
     1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by `veer`
@@ -98,7 +100,7 @@ class SocialForce:
     field_of_view: float = 200.0  #: 2 phi [deg]
     unseen_weight: float = 0.5  #: c
     veer: float = 0.01  #: [rad]
-    body_radius: float = RADIUS  #: distances between people are their surfaces'; 0: centres', as published [m]
+    body_radius: float = 0.0  #: taken off each person's side of distances between people [m]
     response: float = RESPONSE  #: time constant with which the body follows a commanded velocity [s]
 
     @property

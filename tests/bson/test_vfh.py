@@ -148,8 +148,8 @@ def test_reset_forgets_and_the_agent_is_deterministic():
 
 
 def test_it_scores_well_above_driving_straight():
-    """In a maze: among the open map's polite people, driving straight already scores near 100."""
-    seeds, config = list(range(30000, 30008)), TaskConfig(obstacle_density=0.7, num_pedestrians=6, horizon=250)
+    """In a maze: among the open map's polite people driving straight already scores near 100."""
+    seeds, config = list(range(30000, 30006)), TaskConfig(obstacle_density=0.7, num_pedestrians=6, horizon=250)
     track = make_track("local", "lidar2d")
     score = {
         name: np.mean([sns(episode) for episode in run_episodes(load_agent(name), config, track, seeds, name)])

@@ -11,10 +11,10 @@ from macid.geometry import point_box_distance
 from macid.pedestrians.facing import face_velocity
 from macid.pedestrians.orca import ORCA
 from macid.pedestrians.social_force import SocialForce, ellipse
-from macid.state import MAX_SPEED, MAX_YAW_RATE, parking_place
+from macid.state import MAX_SPEED, MAX_YAW_RATE, RADIUS, parking_place
 
-MODEL = SocialForce(response=0.0)  # the kinematic loop's people follow at once
-PUBLISHED = SocialForce(response=0.0, body_radius=0.0)
+PUBLISHED = SocialForce(response=0.0)  # the kinematic loop's people follow at once
+MODEL = replace(PUBLISHED, body_radius=RADIUS)
 MODELS = [MODEL, ORCA()]
 both = pytest.mark.parametrize("model", MODELS, ids=["social_force", "orca"])
 
