@@ -55,10 +55,10 @@ def format_table(rows):
             return "-"
         return f"{row[name]:.1f} +- {row[name + '_std']:.1f}"
 
-    lines = [f"{'model':<14}{'level':<7}{'people':>6}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"]
+    lines = [f"{'model':<21}{'level':<7}{'people':>6}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"]
     for row in rows:
         lines.append(
-            f"{row['pedestrian']:<14}Lv.{row['level']:<4}{row['people']:>6}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"
+            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"
             f"{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
         )
     return "\n".join(lines)
