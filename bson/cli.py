@@ -174,11 +174,11 @@ def _list(args):
     from bson.agents import BUILT_IN
     from bson.env import ENVIRONMENTS
     from bson.suites import load_suite, suite_names
-    from macid.pedestrians import MODELS
+    from macid.pedestrians import model_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
     print("agents        " + ", ".join(BUILT_IN) + ", or module:function, or file.py[:function]")
-    print("pedestrians   " + ", ".join(sorted(MODELS)))
+    print("pedestrians   " + ", ".join(model_names()))
     for name in suite_names():
         suite = load_suite(name)
         print(f"suite         {name}: {suite.description} ({len(suite.seeds)} seeds)")

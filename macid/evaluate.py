@@ -1,4 +1,4 @@
-"""Table II: pedestrian models compared on the paper's four levels."""
+"""Tables I and II: pedestrian models, and the LCFs of one, compared on the paper's four levels."""
 
 import dataclasses
 
@@ -7,7 +7,31 @@ import numpy as np
 from macid import metrics
 from macid.crowd import Crowd, CrowdConfig
 from macid.layout import load_level
+from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
+
+
+LCF_BINS = 6  # of Table I
+_COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
+
+
+def table_lcf(pedestrian):
+    """The range of LCFs (least, most) with which a model enters Table II; rules ignore it."""
+    recipe = getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+    return get_method(recipe["method"]).test_lcf if "method" in recipe else _COOPERATIVE
+
+
+def lcf_bins(pedestrian):
+    """Table I's sections of the range in which a learned model's LCFs were drawn: [(least, most), ...].
+
+    Raises ValueError for a model without LCFs.
+    """
+    recipe = getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+    low, high = get_method(recipe["method"]).lcf if "method" in recipe else (0.0, 0.0)
+    if low == high:
+        raise ValueError(f"'{pedestrian}' was not trained with LCFs: there is nothing to divide.")
+    edges = np.linspace(low, high, LCF_BINS + 1).tolist()
+    return list(zip(edges[:-1], edges[1:], strict=True))
 
 
 def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), engine="native"):
@@ -41,6 +65,10 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
     }
 
 
+def _range(pair):
+    return "({:.2f}, {:.2f})".format(*pair)
+
+
 def _over_episodes(statistic, values):
     """`statistic` of the episodes that have a value; None if none has (PE where nobody arrived)."""
     numbers = [value for value in values if np.isfinite(value)]
@@ -55,10 +83,10 @@ def format_table(rows):
             return "-"
         return f"{row[name]:.1f} +- {row[name + '_std']:.1f}"
 
-    lines = [f"{'model':<21}{'level':<7}{'people':>6}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"]
+    lines = [f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"]
     for row in rows:
         lines.append(
-            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"
+            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}{_range(row['config']['lcf']):>15}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"
             f"{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
         )
     return "\n".join(lines)

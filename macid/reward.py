@@ -15,3 +15,25 @@ class RewardWeights:
 def individual_reward(distance_reduced, arrived, collided, weights=RewardWeights()):
     """Eq. 5: w_d r_d + w_g I_g - w_c I_c, any shape. distance_reduced in metres; arrived, collided are indicators."""
     return weights.distance * distance_reduced + weights.goal * arrived - weights.collision * collided
+
+
+NEIGHBOR_DISTANCE = 5.0  # d_n of eq. 1 [m]
+
+
+def neighbors(position):
+    """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody is one's own."""
+    xp = position.__array_namespace__()
+    offset = position[..., :, None, :] - position[..., None, :, :]
+    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    return (squared <= NEIGHBOR_DISTANCE**2) & ~xp.eye(position.shape[-2], dtype=bool)
+
+
+def neighborhood_mean(values, near):
+    """Mean of `values` (..., K, F) over each person's neighbours `near` (..., K, K): (..., K, F); 0 for who has none.
+
+    Of individual rewards it is eq. 1.
+    """
+    xp = values.__array_namespace__()
+    weight = xp.astype(near, values.dtype)
+    count = xp.sum(weight, axis=-1, keepdims=True)
+    return weight @ values / xp.maximum(count, xp.ones_like(count))

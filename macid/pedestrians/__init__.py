@@ -6,8 +6,10 @@ command: (..., K, 3), world-frame velocity [m/s] and yaw rate [rad/s], for the c
 
 import functools
 
+from macid.pedestrians.learned import Learned
 from macid.pedestrians.orca import ORCA
 from macid.pedestrians.social_force import SocialForce
+from macid.policy import load_policy, policy_names
 from macid.state import RADIUS
 
 MODELS = {
@@ -17,8 +19,16 @@ MODELS = {
 }
 
 
+def model_names():
+    """Every name that `make_controller` takes beside a policy file's, sorted."""
+    return sorted([*MODELS, *{name for shipped in policy_names() for name in (shipped, shipped.rpartition("-")[0])}])
+
+
 def make_controller(name, period):
-    """The pedestrian model `name`, deciding every `period` [s]. Raises ValueError for an unknown name."""
-    if name not in MODELS:
-        raise ValueError(f"Unknown pedestrian model '{name}'. Choose one of {', '.join(sorted(MODELS))}.")
-    return MODELS[name](period=period)
+    """The pedestrian model `name`, deciding every `period` [s]: a rule, a shipped policy ("macid", "macid-2"), or a
+    policy file (.npz). Raises ValueError for an unknown name."""
+    if name in MODELS:
+        return MODELS[name](period=period)
+    if name.endswith(".npz") or name in model_names():
+        return Learned(load_policy(name), period)
+    raise ValueError(f"Unknown pedestrian model '{name}'. Choose one of {', '.join(model_names())}, or a .npz file.")

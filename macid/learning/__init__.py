@@ -1,0 +1,1 @@
+"""Training of pedestrians by multi-agent PPO: five methods on one loop."""

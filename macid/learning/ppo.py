@@ -1,0 +1,136 @@
+"""Proximal policy optimisation with two values (paper, eqs. 2 to 4)."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
+
+
+@dataclasses.dataclass(frozen=True)
+class PpoConfig:
+    """Hyperparameters. The defaults are the paper's where it gives one (sec. IV-C)."""
+
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 5e-5  # annealed to, linearly over training
+    clip: float = 0.2  # epsilon of eq. 3
+    gamma: float = 0.999
+    lam: float = 0.95  # lambda of GAE
+    batch: int = 2048
+    epochs: int = 5
+    max_gradient_norm: float = 0.5  # of each network
+    reward_scale: float = 0.1  # inside GAE and value losses
+    log_std: float = -0.5  # initial
+    entropy: float = 0.0
+
+
+def gae(reward, value, last_value, gamma, lam):
+    """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
+
+    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
+    """
+
+    def backward(carry, now):
+        advantage, next_value = carry
+        reward, value = now
+        advantage = reward + gamma * next_value - value + gamma * lam * advantage
+        return (advantage, value), advantage
+
+    zero = jnp.zeros_like(last_value)
+    _, advantage = jax.lax.scan(backward, (zero, last_value), (reward, value), reverse=True)
+    return advantage, advantage + value
+
+
+def init_mlp(key, sizes, last_scale):
+    """Layers of a network: orthogonal weights, zero biases, the last layer's weights scaled by `last_scale`."""
+    keys = jax.random.split(key, len(sizes) - 1)
+    layers = []
+    for index, (key, rows, columns) in enumerate(zip(keys, sizes[:-1], sizes[1:], strict=True)):
+        scale = last_scale if index == len(sizes) - 2 else 2**0.5
+        weight = jax.nn.initializers.orthogonal(scale)(key, (rows, columns), jnp.float32)
+        layers.append((weight, jnp.zeros(columns, jnp.float32)))
+    return layers
+
+
+def init_parameters(key, config, mean_field=False):
+    """Policy, individual value and neighbourhood value networks, all fed the LCF."""
+    key_policy, key_individual, key_neighborhood = jax.random.split(key, 3)
+    seen = FEATURES + 1
+    critic = seen + (FEATURES + ACTIONS if mean_field else 0)
+    return {
+        "policy": {
+            "layers": init_mlp(key_policy, (seen, *HIDDEN, ACTIONS), 0.01),
+            "log_std": jnp.full(ACTIONS, config.log_std, jnp.float32),
+        },
+        "individual": init_mlp(key_individual, (critic, *HIDDEN, 1), 1.0),
+        "neighborhood": init_mlp(key_neighborhood, (critic, *HIDDEN, 1), 1.0),
+    }
+
+
+def log_probability(policy, x, action):
+    """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS)."""
+    log_std = policy["log_std"]
+    z = (action - mlp(policy["layers"], x)) * jnp.exp(-log_std)
+    return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
+
+
+def clipped_objective(policy, x, action, old_log_probability, advantage, clip):
+    """Eq. 3, negated: the mean of min(rho A, clip(rho) A)."""
+    ratio = jnp.exp(log_probability(policy, x, action) - old_log_probability)
+    clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
+    return jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+
+
+def value_loss(layers, x, target):
+    """Eq. 4: mean squared error of the value (...) against the return."""
+    return jnp.mean((mlp(layers, x)[..., 0] - target) ** 2)
+
+
+def coordinated_advantage(individual, neighborhood, lcf, coordination):
+    """Eq. 2, then standardised over all: c_I(lcf) A_I + c_N(lcf) A_N, any shape."""
+    own, others = coordination(lcf)
+    advantage = own * individual + others * neighborhood
+    return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
+
+
+def make_optimizer(config, updates):
+    """Adam with each network's gradient clipped, and the learning rate annealed over `updates` minibatch steps."""
+    schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates)
+    one = optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(schedule, eps=1e-5))
+    networks = ("policy", "individual", "neighborhood")
+    return optax.partition({name: one for name in networks}, {name: name for name in networks})
+
+
+def loss(parameters, batch, config):
+    """Sum of the three networks' losses; they share no parameter, so each gets its own gradient."""
+    policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
+    objective = clipped_objective(policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip)
+    return (
+        -objective
+        - config.entropy * entropy
+        + value_loss(parameters["individual"], batch["critic"], batch["return_individual"])
+        + value_loss(parameters["neighborhood"], batch["critic"], batch["return_neighborhood"])
+    )
+
+
+def update(parameters, optimizer, optimizer_state, data, key, config):
+    """`epochs` passes over `data` (a dict of arrays with a leading axis (N,)) in shuffled minibatches."""
+    count = data["advantage"].shape[0]
+    batches = max(1, count // config.batch)
+    size = min(config.batch, count)
+
+    def epoch(carry, key):
+        order = jax.random.permutation(key, count)[: batches * size].reshape(batches, size)
+
+        def step(carry, index):
+            parameters, state = carry
+            gradient = jax.grad(loss)(parameters, jax.tree.map(lambda x: x[index], data), config)
+            change, state = optimizer.update(gradient, state, parameters)
+            return (optax.apply_updates(parameters, change), state), None
+
+        return jax.lax.scan(step, carry, order)[0], None
+
+    keys = jax.random.split(key, config.epochs)
+    return jax.lax.scan(epoch, (parameters, optimizer_state), keys)[0]

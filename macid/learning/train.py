@@ -1,0 +1,296 @@
+"""The training loop: many worlds of a crowd that never stops, rolled out and learned from, all in one jitted step."""
+
+import dataclasses
+import json
+import pathlib
+import pickle
+import time
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from macid import geometry, physics, scene
+from macid.files import write_bytes, write_json
+from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
+from macid.learning import ppo as learning
+from macid.learning.methods import get_method
+from macid.observation import observe
+from macid.pedestrians.learned import to_command
+from macid.policy import Policy, features, inputs, mlp, to_velocity
+from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
+from macid.state import GOAL_RADIUS, PHYSICS_STEP
+
+_GOAL_CANDIDATES = 8  # drawn for who arrived; the first at a fitting distance is taken
+_FREE_PLACES = 4096  # from which goals are drawn
+_STARTS = 32  # crowds from which episodes begin
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """How a policy is trained. Lengths in metres, times in seconds."""
+
+    method: str = "macid"
+    level: int = 2
+    seed: int = 0
+    engine: str = "native"
+    nworld: int = 16
+    period: float = PHYSICS_STEP  # between decisions
+    rollout: int = 125  # decisions between updates
+    episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
+    agent_steps: int = 20_000_000  # budget
+    reward: RewardWeights = RewardWeights()
+    ppo: learning.PpoConfig = learning.PpoConfig()
+
+    def __post_init__(self):
+        get_method(self.method)
+        for name in ("nworld", "rollout", "episode", "agent_steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
+        if abs(round(self.period / PHYSICS_STEP) * PHYSICS_STEP - self.period) > 1e-9 or self.period < PHYSICS_STEP:
+            raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
+
+
+# Named sets of hyperparameters: the paper's, and one that reaches the same in less time on a CPU.
+PRESETS = {
+    "paper": learning.PpoConfig(),
+    "paper-ppo": learning.PpoConfig(batch=128, epochs=10),  # what the paper gives for its PPO
+    "fast": learning.PpoConfig(batch=4096, epochs=2),
+}
+
+
+class Walk(NamedTuple):
+    """Where a training's worlds stand; leading axes (nworld, K)."""
+
+    physics: Any
+    goals: Any
+    lcf: Any
+
+
+class TrainState(NamedTuple):
+    """All that a training carries from one iteration to the next."""
+
+    parameters: Any
+    optimizer: Any
+    walk: Walk
+    key: Any
+    iteration: Any
+
+
+class Trainer:
+    """Trains one policy; `iterate` is a pure jitted function of the TrainState."""
+
+    def __init__(self, config: TrainConfig):
+        self.config, self.method = config, get_method(config.method)
+        layout = load_level(config.level)
+        self.number = layout.pedestrians
+        model = scene.crowd_spec(layout, self.number).compile()
+        self.engine = physics.make_physics(config.engine, model, self.number, layout.boxes, config.nworld)
+        self.samples = config.nworld * self.number * config.rollout  # agent-steps an iteration
+        self.iterations = -(-config.agent_steps // self.samples)
+        batches = max(1, self.samples // config.ppo.batch)
+        self.optimizer = learning.make_optimizer(config.ppo, self.iterations * config.ppo.epochs * batches)
+        rng = np.random.default_rng((config.seed, 0x7EA1))
+        starts = [sample_people(rng, layout, self.number) for _ in range(_STARTS)]
+        goals = [sample_goals(rng, layout, s) for s in starts]
+        self._starts, self._goals = jnp.asarray(starts, jnp.float32), jnp.asarray(goals, jnp.float32)
+        anywhere = np.concatenate([sample_people(rng, layout, 64, gap=0.3) for _ in range(_FREE_PLACES // 64)])
+        self._places = jnp.asarray(anywhere, jnp.float32)
+        self.iterate = jax.jit(self._iterate)
+
+    def init(self):
+        """The TrainState before the first iteration."""
+        key, key_parameters, key_walk = jax.random.split(jax.random.key(self.config.seed), 3)
+        parameters = learning.init_parameters(key_parameters, self.config.ppo, self.method.mean_field)
+        walk = jax.jit(self._begin)(key_walk)
+        return TrainState(parameters, self.optimizer.init(parameters), walk, key, jnp.zeros((), jnp.int32))
+
+    def policy(self, state, recipe):
+        """The Policy of a TrainState."""
+        layers = tuple((np.asarray(w), np.asarray(b)) for w, b in state.parameters["policy"]["layers"])
+        return Policy(layers, recipe)
+
+    def _begin(self, key):
+        """A new episode in every world: crowd, goals, and each person's LCF."""
+        key_crowd, key_yaw, key_lcf = jax.random.split(key, 3)
+        shape = (self.config.nworld, self.number)
+        crowd = jax.random.randint(key_crowd, shape[:1], 0, _STARTS)
+        yaw = jax.random.uniform(key_yaw, shape, minval=-jnp.pi, maxval=jnp.pi)
+        low, high = self.method.lcf
+        lcf = jax.random.uniform(key_lcf, shape, minval=low, maxval=high)
+        return Walk(self.engine.init(self._starts[crowd], yaw), self._goals[crowd], lcf)
+
+    def _new_goals(self, key, position):
+        """A goal for each of `position` (nworld, K, 2), in free space and at a fitting distance."""
+        index = jax.random.randint(key, (*position.shape[:-1], _GOAL_CANDIDATES), 0, len(self._places))
+        candidates = self._places[index]
+        distance = geometry.norm(candidates - position[..., None, :])
+        fits = (distance >= GOAL_DISTANCE[0]) & (distance <= GOAL_DISTANCE[1])
+        first = jnp.argmax(fits, axis=-1)
+        return jnp.take_along_axis(candidates, first[..., None, None], axis=-2)[..., 0, :]
+
+    def _critic_input(self, x, seen, action, position):
+        if not self.method.mean_field:
+            return x
+        others = jnp.concatenate([seen, action], axis=-1)
+        return jnp.concatenate([x, neighborhood_mean(others, neighbors(position))], axis=-1)
+
+    def _rollout(self, parameters, walk, key):
+        """`rollout` decisions of every agent: the walk after them, the transitions (T, nworld, K, ...) and the last
+        critic input, which bootstraps the values."""
+        config, policy = self.config, parameters["policy"]
+        substeps = round(config.period / PHYSICS_STEP)
+
+        def act(crowd, goals, key):
+            seen = features(observe(crowd, self.engine.boxes, goals))
+            x = inputs(seen, walk.lcf)
+            noise = jax.random.normal(key, (*x.shape[:-1], 2))
+            action = mlp(policy["layers"], x) + jnp.exp(policy["log_std"]) * noise
+            log_probability = -0.5 * jnp.sum(noise**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(policy["log_std"])
+            return x, self._critic_input(x, seen, action, crowd.position), action, log_probability
+
+        def one(carry, key):
+            state, crowd, goals = carry
+            key_action, key_goal = jax.random.split(key)
+            x, critic, action, log_probability = act(crowd, goals, key_action)
+            command = to_command(to_velocity(action), crowd.yaw)
+            collided = jnp.zeros(crowd.contact.shape, bool)
+            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
+            for _ in range(substeps):
+                state = self.engine.step(state, command)
+                after = self.engine.read(state)
+                collided, steps_in_contact = collided | after.contact, steps_in_contact + after.contact
+            before_distance = geometry.norm(goals - crowd.position)
+            distance = geometry.norm(goals - after.position)
+            arrived = distance <= GOAL_RADIUS
+            reward = individual_reward(before_distance - distance, arrived, collided, config.reward)
+            shared = neighborhood_mean(reward[..., None], neighbors(after.position))[..., 0]
+            goals = jnp.where(arrived[..., None], self._new_goals(key_goal, after.position), goals)
+            step = {
+                "x": x,
+                "critic": critic,
+                "action": action,
+                "log_probability": log_probability,
+                "individual": reward,
+                "neighborhood": shared,
+                "arrived": arrived,
+                "contact": steps_in_contact,
+            }
+            return (state, after, goals), step
+
+        keys = jax.random.split(key, config.rollout + 1)
+        start = (walk.physics, self.engine.read(walk.physics), walk.goals)
+        (state, crowd, goals), steps = jax.lax.scan(one, start, keys[:-1])
+        last = act(crowd, goals, keys[-1])[1]
+        return Walk(state, goals, walk.lcf), steps, last
+
+    def _iterate(self, state: TrainState):
+        """A rollout and an update: the next TrainState, and what to log (scalars)."""
+        config = self.config
+        key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
+        walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
+        estimates = {}
+        for name in ("individual", "neighborhood"):
+            layers, scale = state.parameters[name], config.ppo.reward_scale
+            values, last_value = mlp(layers, steps["critic"])[..., 0], mlp(layers, last)[..., 0]
+            estimates[name] = learning.gae(scale * steps[name], values, last_value, config.ppo.gamma, config.ppo.lam)
+        lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
+        advantage = learning.coordinated_advantage(
+            estimates["individual"][0], estimates["neighborhood"][0], lcf, self.method.coordination
+        )
+        data = {
+            **{name: steps[name] for name in ("x", "critic", "action", "log_probability")},
+            "advantage": advantage,
+            "return_individual": estimates["individual"][1],
+            "return_neighborhood": estimates["neighborhood"][1],
+        }
+        data = jax.tree.map(lambda a: a.reshape(self.samples, *a.shape[3:]), data)
+        parameters, optimizer = learning.update(
+            state.parameters, self.optimizer, state.optimizer, data, key_update, config.ppo
+        )
+        iteration = state.iteration + 1
+        walk = jax.lax.cond(iteration % config.episode == 0, lambda: self._begin(key_begin), lambda: walk)
+        per_episode = 1000 * PHYSICS_STEP / (config.rollout * config.period)  # of an episode of the paper's length
+        log = {
+            "reward": jnp.mean(steps["individual"]),
+            "goals": per_episode * jnp.mean(jnp.sum(steps["arrived"], axis=0)),  # a person, in 20 s
+            "CP": per_episode * jnp.mean(jnp.sum(steps["contact"], axis=0)),
+            "speed": jnp.mean((jnp.clip(steps["action"][..., 0], -1, 1) + 1) * 0.75),
+            "std": jnp.mean(jnp.exp(parameters["policy"]["log_std"])),
+        }
+        return TrainState(parameters, optimizer, walk, key, iteration), log
+
+
+def train(config: TrainConfig, out, resume=False, show=print, minutes_between_checkpoints=2.0, stop_after=None):
+    """Trains to the budget: writes `out`/policy.npz and .json, curve.csv, and a checkpoint now and then.
+
+    resume: goes on from `out`/checkpoint.pkl, if there is one, exactly where it stopped. Returns the Policy.
+    """
+    out = pathlib.Path(out)
+    checkpoint = out / "checkpoint.pkl"
+    trainer = Trainer(config)
+    state, curve, spent = trainer.init(), [], 0.0
+    if resume and checkpoint.exists():
+        saved = pickle.loads(checkpoint.read_bytes())
+        if saved["config"] != config:
+            raise ValueError(f"{checkpoint} is of another configuration: {saved['config']}. Use another --out.")
+        state = jax.tree.map(_restore, saved["state"], state)
+        curve, spent = saved["curve"], saved["seconds"]
+        show(f"resumed at iteration {len(curve)} of {trainer.iterations}")
+    write_json(out / "config.json", _plain(config))
+
+    def save():
+        content = {"config": config, "state": jax.tree.map(_keep, state), "curve": curve, "seconds": spent}
+        write_bytes(checkpoint, pickle.dumps(content))
+        _write_curve(out / "curve.csv", curve)
+
+    begin = last_save = last_show = time.monotonic()
+    before = spent
+    while len(curve) < trainer.iterations:
+        state, log = trainer.iterate(state)
+        log = {name: float(value) for name, value in log.items()}
+        now = time.monotonic()
+        spent = before + now - begin
+        steps = (len(curve) + 1) * trainer.samples
+        curve.append({"agent_steps": steps, "seconds": round(spent, 2), **log})
+        if not np.isfinite(log["reward"]):
+            raise FloatingPointError(f"Training diverged at iteration {len(curve)}: the reward is {log['reward']}.")
+        if now - last_show > 5.0 or len(curve) == trainer.iterations:
+            last_show = now
+            figures = "  ".join(f"{name} {value:.3g}" for name, value in log.items())
+            show(f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {steps / spent:,.0f} agent-steps/s  {figures}")
+        if now - last_save > 60 * minutes_between_checkpoints:
+            last_save = now
+            save()
+        if stop_after is not None and len(curve) >= stop_after:
+            break
+    save()
+    recipe = {**_plain(config), "agent_steps_done": len(curve) * trainer.samples, "seconds": round(spent, 1)}
+    recipe["curve"] = [{name: round(value, 4) for name, value in row.items()} for row in _thin(curve, 60)]
+    policy = trainer.policy(state, recipe)
+    policy.save(out / "policy")
+    return policy
+
+
+def _keep(x):
+    return np.asarray(jax.random.key_data(x)) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else np.asarray(x)
+
+
+def _restore(saved, like):
+    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(jnp.asarray(saved))
+    return jnp.asarray(saved)
+
+
+def _plain(config):
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def _thin(rows, most):
+    return [rows[i] for i in np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
+
+
+def _write_curve(path, curve):
+    lines = [",".join(curve[0])] + [",".join(f"{value:.6g}" for value in row.values()) for row in curve]
+    write_bytes(path, ("\n".join(lines) + "\n").encode())

@@ -1,0 +1,28 @@
+"""Pedestrians moved by a learned policy."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from macid.observation import observe
+from macid.policy import Policy
+
+
+def to_command(velocity, yaw):
+    """Command (..., 3), world velocity [m/s] and yaw rate [rad/s], of (v, w) (..., 2) by people facing `yaw` (...)."""
+    ahead = velocity[..., :1] * jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+    return jnp.concatenate([ahead, velocity[..., 1:]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A policy's mean action, from the observation that it was trained with. `lcf` sets each person's temper."""
+
+    policy: Policy
+    period: float = 0.02  #: between two decisions [s]
+
+    def __call__(self, state, boxes, goals, lcf):
+        """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
+        state = type(state)(*map(jnp.asarray, state))
+        observed = observe(state, jnp.asarray(boxes), jnp.asarray(goals))
+        return to_command(self.policy(observed, jnp.asarray(lcf)), state.yaw)
