@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import pathlib
 import pickle
 import time
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import geometry, physics, scene
-from macid.files import write_bytes, write_json
+from macid.files import output_folder, write_bytes, write_json
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import ppo as learning
 from macid.learning.methods import get_method
@@ -227,7 +226,7 @@ def train(config: TrainConfig, out, resume=False, show=print, minutes_between_ch
 
     resume: goes on from `out`/checkpoint.pkl, if there is one, exactly where it stopped. Returns the Policy.
     """
-    out = pathlib.Path(out)
+    out = output_folder(out)
     checkpoint = out / "checkpoint.pkl"
     trainer = Trainer(config)
     state, curve, spent = trainer.init(), [], 0.0

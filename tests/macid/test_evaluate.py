@@ -38,7 +38,8 @@ def test_without_arrivals_path_efficiency_is_left_open():
     assert row["PE"] is row["PE_std"] is None
     assert row["arrived"] == row["SR10"] == 0
     json.dumps(row, allow_nan=False)
-    assert format_table([row]).splitlines()[1].split() == ["social-force", "Lv.1", "25", *"0.0 +- 0.0".split()] + [
+    assert format_table([row]).splitlines()[1].split() == [
+        *"social-force Lv.1 25 (-2.00, 2.00) 0.0 +- 0.0".split(),
         *f"{row['CP']:.1f} +- {row['CP_std']:.1f}".split(),
         "-",
         *"0.0 +- 0.0".split(),
@@ -46,7 +47,7 @@ def test_without_arrivals_path_efficiency_is_left_open():
 
 
 def test_the_table_lines_up():
-    row = {"pedestrian": "orca", "level": 4, "people": 200}
+    row = {"pedestrian": "orca", "level": 4, "people": 200, "config": {"lcf": (-2.0, 2.0)}}
     row |= {name: 100.0 for name in COLUMNS} | {f"{name}_std": 12.34 for name in COLUMNS}
     lines = format_table([row, row | {"PE": None, "PE_std": None}]).splitlines()
     assert len({len(line) for line in lines}) == 1

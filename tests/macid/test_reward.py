@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from macid.reward import RewardWeights, individual_reward
+from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,17 @@ def test_weights_are_the_callers():
 def test_arrays_are_taken_by_element(xp):
     reward = individual_reward(xp.asarray([[0.1, 0.0]]), xp.asarray([[False, True]]), xp.asarray([[True, False]]))
     np.testing.assert_allclose(reward, [[0.4, 1.0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_equation_1_by_hand(xp):
+    position = xp.asarray([[0.0, 0.0], [4.9, 0.0], [0.0, 5.1], [8.0, 0.0]])
+    near = neighbors(position)
+    assert np.asarray(near).tolist() == [
+        [False, True, False, False],
+        [True, False, False, True],
+        [False, False, False, False],
+        [False, True, False, False],
+    ]
+    shared = neighborhood_mean(xp.asarray([[1.0], [2.0], [4.0], [8.0]]), near)[:, 0]
+    np.testing.assert_allclose(shared, [2.0, 4.5, 0.0, 2.0])
