@@ -90,7 +90,7 @@ def parser():
     train = commands.add_parser(
         "train", help="train pedestrians by multi-agent PPO", formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    train.add_argument("--method", default="macid", help="ipo, mfpo, macid or macid-tri")
+    train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid or macid-tri")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
     train.add_argument("--level", type=int, default=2)
     train.add_argument("--seed", type=int, default=0, help="the first seed")

@@ -18,6 +18,9 @@ _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
 def table_lcf(pedestrian):
     """The range of LCFs (least, most) with which a model enters Table II; rules ignore it."""
     recipe = getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+    if "lcf_mean" in recipe:  # CoPO's own distribution, as a uniform one of its mean and standard deviation
+        mean, half = recipe["lcf_mean"], 3**0.5 * recipe["lcf_std"]
+        return max(-1.0, mean - half), min(1.0, mean + half)
     return get_method(recipe["method"]).test_lcf if "method" in recipe else _COOPERATIVE
 
 

@@ -20,6 +20,11 @@ def trigonometric(lcf):
     return jnp.cos(lcf), jnp.sin(lcf)
 
 
+def quarter_turn(lcf):
+    """CoPO's coefficients: cos and sin of an LCF in [-1, 1] as a share of a quarter turn."""
+    return trigonometric(jnp.clip(lcf, -1.0, 1.0) * (math.pi / 2))
+
+
 @dataclasses.dataclass(frozen=True)
 class Method:
     """A training method. lcf: the range from which an agent's LCF is drawn, uniformly, for an episode."""
@@ -29,6 +34,12 @@ class Method:
     test_lcf: tuple[float, float] = (0.0, 0.0)  # the range for Table II
     coordination: Callable = linear
     mean_field: bool = False  # critics see the mean of the neighbours' features and actions beside one's own
+    meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
+
+    @property
+    def critics(self):
+        """Names of the value networks; each is of the reward of that name."""
+        return ("individual", "neighborhood", "global") if self.meta else ("individual", "neighborhood")
 
 
 METHODS = {
@@ -36,6 +47,7 @@ METHODS = {
     for method in (
         Method("ipo"),
         Method("mfpo", mean_field=True),
+        Method("copo", lcf=(-1.0, 1.0), coordination=quarter_turn, meta=True),
         Method("macid", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33)),
         Method(
             "macid-tri",

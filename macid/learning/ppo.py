@@ -54,9 +54,9 @@ def init_mlp(key, sizes, last_scale):
     return layers
 
 
-def init_parameters(key, config, mean_field=False):
-    """Policy, individual value and neighbourhood value networks, all fed the LCF."""
-    key_policy, key_individual, key_neighborhood = jax.random.split(key, 3)
+def init_parameters(key, config, critics=("individual", "neighborhood"), mean_field=False):
+    """The policy network and a value network for each of `critics`, all fed the LCF."""
+    key_policy, *key_critics = jax.random.split(key, 1 + len(critics))
     seen = FEATURES + 1
     critic = seen + (FEATURES + ACTIONS if mean_field else 0)
     return {
@@ -64,8 +64,7 @@ def init_parameters(key, config, mean_field=False):
             "layers": init_mlp(key_policy, (seen, *HIDDEN, ACTIONS), 0.01),
             "log_std": jnp.full(ACTIONS, config.log_std, jnp.float32),
         },
-        "individual": init_mlp(key_individual, (critic, *HIDDEN, 1), 1.0),
-        "neighborhood": init_mlp(key_neighborhood, (critic, *HIDDEN, 1), 1.0),
+        **{name: init_mlp(key, (critic, *HIDDEN, 1), 1.0) for name, key in zip(critics, key_critics, strict=True)},
     }
 
 
@@ -95,24 +94,23 @@ def coordinated_advantage(individual, neighborhood, lcf, coordination):
     return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
 
 
-def make_optimizer(config, updates):
+def make_optimizer(config, updates, networks):
     """Adam with each network's gradient clipped, and the learning rate annealed over `updates` minibatch steps."""
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates)
     one = optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(schedule, eps=1e-5))
-    networks = ("policy", "individual", "neighborhood")
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 
 def loss(parameters, batch, config):
-    """Sum of the three networks' losses; they share no parameter, so each gets its own gradient."""
+    """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
     objective = clipped_objective(policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip)
-    return (
-        -objective
-        - config.entropy * entropy
-        + value_loss(parameters["individual"], batch["critic"], batch["return_individual"])
-        + value_loss(parameters["neighborhood"], batch["critic"], batch["return_neighborhood"])
+    values = sum(
+        value_loss(layers, batch["critic"], batch[f"return_{name}"])
+        for name, layers in parameters.items()
+        if name != "policy"
     )
+    return values - objective - config.entropy * entropy
 
 
 def update(parameters, optimizer, optimizer_state, data, key, config):

@@ -13,6 +13,7 @@ import numpy as np
 from macid import geometry, physics, scene
 from macid.files import output_folder, write_bytes, write_json
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
+from macid.learning import copo
 from macid.learning import ppo as learning
 from macid.learning.methods import get_method
 from macid.observation import observe
@@ -72,6 +73,7 @@ class TrainState(NamedTuple):
 
     parameters: Any
     optimizer: Any
+    meta: Any  #: CoPO's distribution of LCFs; None in other methods
     walk: Walk
     key: Any
     iteration: Any
@@ -89,7 +91,8 @@ class Trainer:
         self.samples = config.nworld * self.number * config.rollout  # agent-steps an iteration
         self.iterations = -(-config.agent_steps // self.samples)
         batches = max(1, self.samples // config.ppo.batch)
-        self.optimizer = learning.make_optimizer(config.ppo, self.iterations * config.ppo.epochs * batches)
+        networks = ("policy", *self.method.critics)
+        self.optimizer = learning.make_optimizer(config.ppo, self.iterations * config.ppo.epochs * batches, networks)
         rng = np.random.default_rng((config.seed, 0x7EA1))
         starts = [sample_people(rng, layout, self.number) for _ in range(_STARTS)]
         goals = [sample_goals(rng, layout, s) for s in starts]
@@ -101,23 +104,29 @@ class Trainer:
     def init(self):
         """The TrainState before the first iteration."""
         key, key_parameters, key_walk = jax.random.split(jax.random.key(self.config.seed), 3)
-        parameters = learning.init_parameters(key_parameters, self.config.ppo, self.method.mean_field)
-        walk = jax.jit(self._begin)(key_walk)
-        return TrainState(parameters, self.optimizer.init(parameters), walk, key, jnp.zeros((), jnp.int32))
+        parameters = learning.init_parameters(
+            key_parameters, self.config.ppo, self.method.critics, self.method.mean_field
+        )
+        meta = copo.init() if self.method.meta else None
+        walk = jax.jit(self._begin)(key_walk, meta)
+        return TrainState(parameters, self.optimizer.init(parameters), meta, walk, key, jnp.zeros((), jnp.int32))
 
     def policy(self, state, recipe):
         """The Policy of a TrainState."""
         layers = tuple((np.asarray(w), np.asarray(b)) for w, b in state.parameters["policy"]["layers"])
         return Policy(layers, recipe)
 
-    def _begin(self, key):
+    def _begin(self, key, meta):
         """A new episode in every world: crowd, goals, and each person's LCF."""
         key_crowd, key_yaw, key_lcf = jax.random.split(key, 3)
         shape = (self.config.nworld, self.number)
         crowd = jax.random.randint(key_crowd, shape[:1], 0, _STARTS)
         yaw = jax.random.uniform(key_yaw, shape, minval=-jnp.pi, maxval=jnp.pi)
         low, high = self.method.lcf
-        lcf = jax.random.uniform(key_lcf, shape, minval=low, maxval=high)
+        if self.method.meta:
+            lcf = copo.draw(meta.distribution, key_lcf, shape)
+        else:
+            lcf = jax.random.uniform(key_lcf, shape, minval=low, maxval=high)
         return Walk(self.engine.init(self._starts[crowd], yaw), self._goals[crowd], lcf)
 
     def _new_goals(self, key, position):
@@ -173,6 +182,7 @@ class Trainer:
                 "log_probability": log_probability,
                 "individual": reward,
                 "neighborhood": shared,
+                "global": jnp.broadcast_to(jnp.mean(reward, axis=-1, keepdims=True), reward.shape),
                 "arrived": arrived,
                 "contact": steps_in_contact,
             }
@@ -190,10 +200,11 @@ class Trainer:
         key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
         walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
         estimates = {}
-        for name in ("individual", "neighborhood"):
+        for name in self.method.critics:
             layers, scale = state.parameters[name], config.ppo.reward_scale
             values, last_value = mlp(layers, steps["critic"])[..., 0], mlp(layers, last)[..., 0]
-            estimates[name] = learning.gae(scale * steps[name], values, last_value, config.ppo.gamma, config.ppo.lam)
+            gamma = 1.0 if name == "global" else config.ppo.gamma
+            estimates[name] = learning.gae(scale * steps[name], values, last_value, gamma, config.ppo.lam)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         advantage = learning.coordinated_advantage(
             estimates["individual"][0], estimates["neighborhood"][0], lcf, self.method.coordination
@@ -201,15 +212,20 @@ class Trainer:
         data = {
             **{name: steps[name] for name in ("x", "critic", "action", "log_probability")},
             "advantage": advantage,
-            "return_individual": estimates["individual"][1],
-            "return_neighborhood": estimates["neighborhood"][1],
+            **{f"return_{name}": returns for name, (_, returns) in estimates.items()},
         }
+        if self.method.meta:
+            data |= {f"advantage_{name}": estimate for name, (estimate, _) in estimates.items()}
+            data["lcf"] = lcf
         data = jax.tree.map(lambda a: a.reshape(self.samples, *a.shape[3:]), data)
         parameters, optimizer = learning.update(
             state.parameters, self.optimizer, state.optimizer, data, key_update, config.ppo
         )
+        meta = state.meta
+        if self.method.meta:
+            meta = copo.update(meta, state.parameters["policy"], parameters["policy"], data, config.ppo)
         iteration = state.iteration + 1
-        walk = jax.lax.cond(iteration % config.episode == 0, lambda: self._begin(key_begin), lambda: walk)
+        walk = jax.lax.cond(iteration % config.episode == 0, lambda: self._begin(key_begin, meta), lambda: walk)
         per_episode = 1000 * PHYSICS_STEP / (config.rollout * config.period)  # of an episode of the paper's length
         log = {
             "reward": jnp.mean(steps["individual"]),
@@ -218,7 +234,9 @@ class Trainer:
             "speed": jnp.mean((jnp.clip(steps["action"][..., 0], -1, 1) + 1) * 0.75),
             "std": jnp.mean(jnp.exp(parameters["policy"]["log_std"])),
         }
-        return TrainState(parameters, optimizer, walk, key, iteration), log
+        if self.method.meta:
+            log["lcf_mean"], log["lcf_std"] = copo.moments(meta.distribution)
+        return TrainState(parameters, optimizer, meta, walk, key, iteration), log
 
 
 def train(config: TrainConfig, out, resume=False, show=print, minutes_between_checkpoints=2.0, stop_after=None):
@@ -266,6 +284,8 @@ def train(config: TrainConfig, out, resume=False, show=print, minutes_between_ch
             break
     save()
     recipe = {**_plain(config), "agent_steps_done": len(curve) * trainer.samples, "seconds": round(spent, 1)}
+    if state.meta is not None:
+        recipe["lcf_mean"], recipe["lcf_std"] = map(float, copo.moments(state.meta.distribution))
     recipe["curve"] = [{name: round(value, 4) for name, value in row.items()} for row in _thin(curve, 60)]
     policy = trainer.policy(state, recipe)
     policy.save(out / "policy")
