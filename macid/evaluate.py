@@ -12,6 +12,7 @@ from macid.pedestrians import make_controller
 
 
 LCF_BINS = 6  # of Table I
+TOLERATED = 20  # Fig. 2: SR_n for n = 1 to this
 _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
 
 
@@ -55,6 +56,7 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "PE": [metrics.path_efficiency(*row) for row in zip(arrived, distance, travelled, strict=True)],
         "arrived": [100.0 * float(a.mean()) for a in arrived],
     }
+    curve = [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)]
     return {
         "pedestrian": pedestrian,
         "level": level,
@@ -63,6 +65,7 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "seed": seed,
         "engine": engine,
         "config": dataclasses.asdict(config),
+        "SR": curve,
         **{name: _over_episodes(np.mean, values) for name, values in each.items()},
         **{f"{name}_std": _over_episodes(np.std, values) for name, values in each.items()},
     }
