@@ -71,7 +71,7 @@ def machine():
     return f"{model}, {os.cpu_count()} CPUs; mujoco {made_with['mujoco']}, jax {made_with['jax']}"
 
 
-def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, model="social-force", show=print):
+def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, model="macid", show=print):
     """Prints the table, a line a case as it is measured; returns its rows as dicts."""
     show(machine())
     show(f"pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")

@@ -231,7 +231,7 @@ def parser():
     bench.add_argument("--worlds", type=int, nargs="+", default=[1, 16])
     bench.add_argument("--sensors", nargs="+", default=["none", "lidar2d"], choices=["none", "lidar2d"])
     bench.add_argument("--seconds", type=float, default=2.0, help="time a case")
-    bench.add_argument("--pedestrian-model", default="social-force")
+    bench.add_argument("--pedestrian-model", default="macid")
     bench.add_argument("--out", default=None, help="JSON file")
     bench.set_defaults(run=_bench)
 

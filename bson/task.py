@@ -27,7 +27,7 @@ class TaskConfig:
     num_pedestrians: int | None = None
     pedestrian_density: float | None = None  # in [0, 1]
     obstacle_density: float = 0.0  # in [0, 1]: share of a maze's walls that stand
-    pedestrian_model: str = "social-force"
+    pedestrian_model: str = "macid"
     lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each pedestrian's LCF is drawn
     map_size: float = MAP_SIZE
     control_period: float = 0.1  # between the robot's decisions

@@ -67,6 +67,21 @@ def _train(args):
     return 0
 
 
+def _bench(args):
+    from macid import bench
+    from macid.layout import load_level
+
+    for level in args.levels:
+        load_level(level)
+    if min(args.worlds) < 1 or not args.seconds > 0:
+        raise UsageError("--worlds must be at least 1 and --seconds above 0.")
+    rows = bench.run(args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True))
+    if args.out:
+        output_folder(pathlib.Path(args.out).parent)
+        write_json(args.out, rows)
+    return 0
+
+
 def parser():
     """The command's parser."""
     root = argparse.ArgumentParser(prog="macid", description="Pedestrian crowds on MuJoCo.")
@@ -102,6 +117,17 @@ def parser():
     train.add_argument("--out", default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
+
+    bench = commands.add_parser(
+        "bench", help="measure agent-steps/s", formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    bench.add_argument("--engine", default="native", choices=["native", "mjx"])
+    bench.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4])
+    bench.add_argument("--worlds", type=int, nargs="+", default=[1, 4, 16, 64])
+    bench.add_argument("--seconds", type=float, default=3.0, help="a case")
+    bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"])
+    bench.add_argument("--out", default=None, help="JSON file")
+    bench.set_defaults(run=_bench)
     return root
 
 

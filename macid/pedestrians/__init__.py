@@ -20,8 +20,11 @@ MODELS = {
 
 
 def model_names():
-    """Every name that `make_controller` takes beside a policy file's, sorted."""
-    return sorted([*MODELS, *{name for shipped in policy_names() for name in (shipped, shipped.rpartition("-")[0])}])
+    """The names that `make_controller` takes: rules, and the methods that shipped policies were trained by; sorted.
+
+    A method's name stands for its first seed; `name-SEED` is another of its policies.
+    """
+    return sorted([*MODELS, *{name.rpartition("-")[0] for name in policy_names()}])
 
 
 def make_controller(name, period):
@@ -29,6 +32,6 @@ def make_controller(name, period):
     policy file (.npz). Raises ValueError for an unknown name."""
     if name in MODELS:
         return MODELS[name](period=period)
-    if name.endswith(".npz") or name in model_names():
+    if name.endswith(".npz") or name in policy_names() or name in model_names():
         return Learned(load_policy(name), period)
     raise ValueError(f"Unknown pedestrian model '{name}'. Choose one of {', '.join(model_names())}, or a .npz file.")

@@ -26,7 +26,7 @@ def test_evaluate_writes_the_table(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of orca, social-force"),
+        (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of macid"),
         (["--levels", "1", "7"], "Unknown level 7. Choose among 1, 2, 3, 4"),
         (["--episodes", "0"], "--episodes must be at least 1, not 0"),
         (["--period", "0.03"], "multiple of the physics step 0.02 s, not 0.03"),
@@ -60,3 +60,23 @@ def test_what_the_parser_refuses_has_exit_code_2(capsys, arguments, told):
         main(arguments)
     assert stop.value.code == 2
     assert told in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_bench_measures_rollout_and_training(tmp_path, capsys):
+    out = tmp_path / "bench.json"
+    assert main(["bench", "--levels", "1", "--worlds", "1", "--seconds", "0.01", "--out", str(out)]) == 0
+    (row,) = json.loads(out.read_text())
+    assert row["people"] == 25 and row["rollout"] > row["training"] > 0
+
+
+def test_train_writes_a_policy_that_evaluate_takes(tmp_path):
+    command = ["train", "--method", "macid-tri", "--worlds", "1", "--level", "1", "--agent-steps", "3000"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    policy = tmp_path / "macid-tri-0" / "policy.npz"
+    out = tmp_path / "rows.json"
+    arguments = ["evaluate", "--pedestrian", str(policy), "--levels", "1", "--episodes", "1", "--period", "0.1"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    (row,) = json.loads(out.read_text())
+    assert row["config"]["lcf"] == pytest.approx([0.5236, 1.0472], abs=1e-4)
+    with pytest.raises(SystemExit):
+        main([*arguments, "--preset", "x"])
