@@ -82,6 +82,8 @@ def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, mod
             for sensor in sensors:
                 config = TaskConfig(num_pedestrians=number, pedestrian_model=model)
                 speed, share = measure_speed(config, SENSORS[sensor], nworld, seconds)
-                rows.append({"people": number, "worlds": nworld, "sensor": sensor, "steps_per_s": speed, "in_mujoco": share})
+                rows.append(
+                    {"people": number, "worlds": nworld, "sensor": sensor, "steps_per_s": speed, "in_mujoco": share}
+                )
                 show(f"{number:>7}{nworld:>8}{sensor:>10}{speed:>17,.0f}{share:>10.0%}")
     return rows

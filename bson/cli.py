@@ -211,7 +211,9 @@ def parser():
     root = argparse.ArgumentParser(prog="bson", description="A benchmark for robots that drive among people.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
 
-    demo = commands.add_parser("demo", help="evaluate the reactive agent on ten episodes, with a report and films", **defaults)
+    demo = commands.add_parser(
+        "demo", help="evaluate the reactive agent on ten episodes, with a report and films", **defaults
+    )
     _add_setting(demo)
     _add_evaluation(demo, "bson-demo", "smoke")
 

@@ -231,7 +231,12 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         for index in ids:
             final[index] = {name: value[index] for name, value in observation.items()}
         masked = {f"_{name}": present.copy() for name in info}
-        return {"final_obs": final, "_final_obs": present, "final_info": {**info, **masked}, "_final_info": present.copy()}
+        return {
+            "final_obs": final,
+            "_final_obs": present,
+            "final_info": {**info, **masked},
+            "_final_info": present.copy(),
+        }
 
 
 def _first(observation):

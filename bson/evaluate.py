@@ -81,13 +81,19 @@ def results(agent, suite, config, episodes, **more):
 def versions():
     """What the results were made with."""
     packages = ("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
-    return {**{name: metadata.version(name) for name in packages}, "python": platform.python_version(), "os": sys.platform}
+    return {
+        **{name: metadata.version(name) for name in packages},
+        "python": platform.python_version(),
+        "os": sys.platform,
+    }
 
 
 def format_summary(content):
     """The score and its parts as plain text."""
     count = len(content["episodes"])
-    lines = [f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"]
+    lines = [
+        f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"
+    ]
     for name, value in content["summary"].items():
         low, high = content["intervals"][name]
         lines.append(f"  {name:<16}{value:>9.3f}   [{low:.3f}, {high:.3f}]")

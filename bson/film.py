@@ -325,7 +325,7 @@ class Film:
 
         left, top, width, height = self._rect(_MAP)
         canvas = np.ascontiguousarray(page[top : top + height, left : left + width])
-        at = lambda place: self.map_pixel(episode, place) - (left, top)  # noqa: E731
+        at = lambda place: self.map_pixel(episode, place) - (left, top)
         unit = self.scale
         start, goal = at(episode.pose[0, :2]), at(episode.goal)
         metre = width / map_window(episode)[1]

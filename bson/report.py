@@ -222,5 +222,3 @@ def make_report(content, episodes, videos=(), no_video=""):
 <h2>Setting</h2><pre>{html.escape(command)}</pre><pre>{html.escape(settings)}</pre>
 </main></body></html>
 """
-
-

@@ -40,4 +40,6 @@ def load_suite(name):
     if name not in suite_names():
         raise ValueError(f"Unknown suite '{name}'. Choose one of {', '.join(suite_names())}.")
     fields = tomllib.loads(assets.path("suites", f"{name}.toml").read_text())
-    return Suite(fields["name"], fields["description"], TaskConfig().replace(**fields["config"]), tuple(fields["seeds"]))
+    return Suite(
+        fields["name"], fields["description"], TaskConfig().replace(**fields["config"]), tuple(fields["seeds"])
+    )

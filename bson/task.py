@@ -96,7 +96,9 @@ class TaskConfig:
 
 
 def _is_number(value):
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and np.isfinite(value)
+    return (
+        isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and np.isfinite(value)
+    )
 
 
 def _is_whole(value):
@@ -156,4 +158,3 @@ def spawn(config: TaskConfig, rng) -> Spawn:
         np.concatenate([people, rng.uniform(-np.pi, np.pi, (len(people), 1))], axis=-1),
         rng.uniform(*config.lcf, len(people)),
     )
-

@@ -75,7 +75,9 @@ def _bench(args):
         load_level(level)
     if min(args.worlds) < 1 or not args.seconds > 0:
         raise UsageError("--worlds must be at least 1 and --seconds above 0.")
-    rows = bench.run(args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True))
+    rows = bench.run(
+        args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
+    )
     if args.out:
         output_folder(pathlib.Path(args.out).parent)
         write_json(args.out, rows)
@@ -92,11 +94,15 @@ def parser():
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     evaluate.add_argument("--pedestrian", required=True, help="a rule, a shipped policy, or a policy file (.npz)")
-    evaluate.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4], help="1: 25, 2: 50, 3: 100, 4: 200 people")
+    evaluate.add_argument(
+        "--levels", type=int, nargs="+", default=[1, 2, 3, 4], help="1: 25, 2: 50, 3: 100, 4: 200 people"
+    )
     evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
     evaluate.add_argument("--seed", type=int, default=0)
     evaluate.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
-    evaluate.add_argument("--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)")
+    evaluate.add_argument(
+        "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
+    )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
     evaluate.add_argument("--engine", default="native", choices=["native", "mjx"])
     evaluate.add_argument("--out", default="macid-evaluate.json", help="JSON file")

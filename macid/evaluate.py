@@ -10,7 +10,6 @@ from macid.layout import load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
 
-
 LCF_BINS = 6  # of Table I
 TOLERATED = 20  # Fig. 2: SR_n for n = 1 to this
 _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
@@ -89,7 +88,9 @@ def format_table(rows):
             return "-"
         return f"{row[name]:.1f} +- {row[name + '_std']:.1f}"
 
-    lines = [f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"]
+    lines = [
+        f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"
+    ]
     for row in rows:
         lines.append(
             f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}{_range(row['config']['lcf']):>15}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"

@@ -66,7 +66,9 @@ class Layout:
 def outer_walls(size):
     """The four walls around a map of side `size` [m]: (4, 5). Their inner faces are the map's edge."""
     far, half, thin = size / 2 + WALL_THICKNESS / 2, size / 2 + WALL_THICKNESS, WALL_THICKNESS / 2
-    return np.array([[far, 0, thin, half, 0], [-far, 0, thin, half, 0], [0, far, half, thin, 0], [0, -far, half, thin, 0]])
+    return np.array(
+        [[far, 0, thin, half, 0], [-far, 0, thin, half, 0], [0, far, half, thin, 0], [0, -far, half, thin, 0]]
+    )
 
 
 def pad_boxes(boxes, number):

@@ -162,4 +162,3 @@ def make_physics(engine, model, number, boxes, nworld):
     if engine == "mjx":
         return MjxPhysics(model, number, boxes, nworld)
     raise ValueError(f"Unknown engine '{engine}'. Choose one of {', '.join(ENGINES)}.")
-

@@ -77,7 +77,9 @@ class Policy:
             observed = np.asarray(observed, np.float32)
         xp = observed.__array_namespace__()
         if observed.shape[-1] != observation.SIZE:
-            raise ValueError(f"An observation has {observation.SIZE} columns (macid.observation), not {observed.shape[-1]}.")
+            raise ValueError(
+                f"An observation has {observation.SIZE} columns (macid.observation), not {observed.shape[-1]}."
+            )
         observed = xp.asarray(observed, dtype=np.float32)
         lcf = xp.broadcast_to(xp.asarray(lcf, dtype=np.float32), observed.shape[:-1])
         return to_velocity(mlp(self.layers, inputs(features(observed), lcf)))

@@ -64,7 +64,9 @@ def evaluated(rows, name, pedestrian, level, lcf, episodes, period):
 
 def over_seeds(rows_by_seed):
     """Mean and standard deviation over seeds of every column on every level: (2, levels * columns)."""
-    values = np.array([[row[c] if row[c] is not None else np.nan for row in rows for c in COLUMNS] for rows in rows_by_seed])
+    values = np.array(
+        [[row[c] if row[c] is not None else np.nan for row in rows for c in COLUMNS] for rows in rows_by_seed]
+    )
     return np.nanmean(values, axis=0), np.nanstd(values, axis=0)
 
 
@@ -125,7 +127,9 @@ def run(args):
             for index, file in enumerate(files)
         ]
         mean, std = over_seeds(seeds)
-        table.append(line(f"{name} ({len(files)} seeds)" if name in policies else name, mean, std if name in policies else None))
+        table.append(
+            line(f"{name} ({len(files)} seeds)" if name in policies else name, mean, std if name in policies else None)
+        )
         if name in PAPER_TABLE_2:
             table.append(line("*paper*", PAPER_TABLE_2[name]))
         curves[name] = np.mean([[row["SR"] for row in levels] for levels in seeds], axis=0)

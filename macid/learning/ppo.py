@@ -104,7 +104,9 @@ def make_optimizer(config, updates, networks):
 def loss(parameters, batch, config):
     """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
-    objective = clipped_objective(policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip)
+    objective = clipped_objective(
+        policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip
+    )
     values = sum(
         value_loss(layers, batch["critic"], batch[f"return_{name}"])
         for name, layers in parameters.items()

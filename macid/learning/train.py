@@ -276,7 +276,9 @@ def train(config: TrainConfig, out, resume=False, show=print, minutes_between_ch
         if now - last_show > 5.0 or len(curve) == trainer.iterations:
             last_show = now
             figures = "  ".join(f"{name} {value:.3g}" for name, value in log.items())
-            show(f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {steps / spent:,.0f} agent-steps/s  {figures}")
+            show(
+                f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {steps / spent:,.0f} agent-steps/s  {figures}"
+            )
         if now - last_save > 60 * minutes_between_checkpoints:
             last_save = now
             save()

@@ -10,7 +10,19 @@ QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "nu
 def test_evaluate_writes_results_report_and_videos(tmp_path, capsys):
     out = tmp_path / "deep" / "run"
     videos = "0" if film.gl_problem() else "1"
-    command = ["evaluate", "--agent", "goal", "--suite", "smoke", "--episodes", "2", "--videos", videos, "--out", str(out)]
+    command = [
+        "evaluate",
+        "--agent",
+        "goal",
+        "--suite",
+        "smoke",
+        "--episodes",
+        "2",
+        "--videos",
+        videos,
+        "--out",
+        str(out),
+    ]
     assert cli.main([*command, *QUICK]) == 0
     content = json.loads((out / "results.json").read_text())
     assert content["agent"] == "goal" and len(content["episodes"]) == 2
@@ -65,7 +77,9 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
         (["bench", "--pedestrian-model", "sfm"], "orca, social-force, social-force-bodies"),
     ],
 )
-def test_a_wrong_request_is_one_line_that_names_what_is_valid_and_code_2(arguments, told, tmp_path, monkeypatch, capsys):
+def test_a_wrong_request_is_one_line_that_names_what_is_valid_and_code_2(
+    arguments, told, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "nan.py").write_text(NAN)
     (tmp_path / "shape.py").write_text(SHAPE)
@@ -102,7 +116,12 @@ def test_bench_prints_every_case(tmp_path, capsys):
     command = ["bench", "--pedestrians", "2", "--worlds", "1", "3", "--seconds", "0.1", "--out", str(out)]
     assert cli.main(command) == 0
     rows = json.loads(out.read_text())["rows"]
-    assert [(row["worlds"], row["sensor"]) for row in rows] == [(1, "none"), (1, "lidar2d"), (3, "none"), (3, "lidar2d")]
+    assert [(row["worlds"], row["sensor"]) for row in rows] == [
+        (1, "none"),
+        (1, "lidar2d"),
+        (3, "none"),
+        (3, "lidar2d"),
+    ]
     assert all(row["steps_per_s"] > 0 and 0 < row["in_mujoco"] < 1 for row in rows)
 
 

@@ -121,9 +121,7 @@ def test_film_reads_back(model, tmp_path):
     import cv2
 
     ticks = []
-    path = film.film(
-        model, straight(30), tmp_path / "a.webm", max_frames=9, progress=lambda *done: ticks.append(done)
-    )
+    path = film.film(model, straight(30), tmp_path / "a.webm", max_frames=9, progress=lambda *done: ticks.append(done))
     video = cv2.VideoCapture(str(path))
     frames = []
     while (read := video.read())[0]:

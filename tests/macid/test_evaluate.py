@@ -39,10 +39,10 @@ def test_without_arrivals_path_efficiency_is_left_open():
     assert row["arrived"] == row["SR10"] == 0
     json.dumps(row, allow_nan=False)
     assert format_table([row]).splitlines()[1].split() == [
-        *"social-force Lv.1 25 (-2.00, 2.00) 0.0 +- 0.0".split(),
+        *["social-force", "Lv.1", "25", "(-2.00,", "2.00)", "0.0", "+-", "0.0"],
         *f"{row['CP']:.1f} +- {row['CP_std']:.1f}".split(),
         "-",
-        *"0.0 +- 0.0".split(),
+        *["0.0", "+-", "0.0"],
     ]
 
 

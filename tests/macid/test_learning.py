@@ -159,7 +159,11 @@ def test_the_papers_preset_is_the_papers():
 
 @pytest.mark.parametrize(
     ("changes", "told"),
-    [({"method": "mappo"}, "ipo, mfpo, copo, macid, macid-tri"), ({"period": 0.03}, "multiple"), ({"nworld": 0}, "at least 1")],
+    [
+        ({"method": "mappo"}, "ipo, mfpo, copo, macid, macid-tri"),
+        ({"period": 0.03}, "multiple"),
+        ({"nworld": 0}, "at least 1"),
+    ],
 )
 def test_a_wrong_setting_is_told(changes, told):
     with pytest.raises(ValueError, match=told):

@@ -105,9 +105,7 @@ def test_turning_and_shifting_the_whole_scene_changes_nothing(angle):
     turned = state._replace(
         position=moved(state.position), yaw=state.yaw + angle, velocity=rotate(state.velocity, np.full(20, angle))
     )
-    np.testing.assert_allclose(
-        observe(turned, turned_boxes, moved(goals)), observe(state, boxes, goals), atol=1e-7
-    )
+    np.testing.assert_allclose(observe(turned, turned_boxes, moved(goals)), observe(state, boxes, goals), atol=1e-7)
 
 
 def test_a_mirrored_scene_mirrors_rays_and_flips_signs():

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kinematics import DOORWAY, OPEN, arrival_time, least_distance, ring, walk
 
-from kinematics import DOORWAY, OPEN, arrival_time, crowd, least_distance, ring, walk
 from macid.geometry import box_corners, point_box_distance
 from macid.pedestrians.orca import NO_LIMIT, ORCA, best_velocity, closest_permitted, least_violation
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from macid import physics, scene
+from macid import scene
 from macid.layout import Layout
 from macid.physics import NativePhysics, make_physics, touching
 from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, parking_place

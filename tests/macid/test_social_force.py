@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from kinematics import DOORWAY, OPEN, arrival_time, crowd, least_distance, walk
+
 from macid.geometry import point_box_distance
 from macid.pedestrians.facing import face_velocity
 from macid.pedestrians.orca import ORCA
