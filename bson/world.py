@@ -6,6 +6,7 @@ much, and pedestrians decide by one compiled program a world, since a vectorised
 """
 
 import copy
+import os
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from macid.routing import Router
 from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 _FAR = np.inf
+_jax_process = None  # the process in which pedestrians first decided
 
 
 def build_model(config: TaskConfig, sensors):
@@ -35,6 +37,18 @@ def build_model(config: TaskConfig, sensors):
     for sensor in sensors:
         sensor.mount(spec)
     return spec.compile()
+
+
+def _refuse_forked_jax():
+    """Raises RuntimeError in a process that was forked after JAX began its threads: it would wait for ever."""
+    global _jax_process
+    if _jax_process is None:
+        _jax_process = os.getpid()
+    if _jax_process != os.getpid():
+        raise RuntimeError(
+            "This process was forked after pedestrians had moved in its parent, and JAX does not survive that. Use "
+            "gymnasium.make_vec(id, num_envs=N), which needs no processes, or processes by spawn (context='spawn')."
+        )
 
 
 class World:
@@ -165,6 +179,7 @@ class World:
 
     def _command_people(self, ids):
         """Lets the people of the worlds `ids` decide. The calls overlap: JAX runs them while the next is packed."""
+        _refuse_forked_jax()
         qpos, qvel = self._qpos[ids], self._qvel[ids]
         robot_qvel = qvel[:, self._robot_qvel]
         pose = robot.planar_pose(qpos[:, self._robot_qpos])

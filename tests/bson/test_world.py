@@ -1,4 +1,6 @@
 import copy
+import os
+import warnings
 
 import mujoco
 import numpy as np
@@ -227,3 +229,21 @@ def test_rays_pass_the_robots_paint_but_pictures_show_it():
 def test_the_scene_has_people_as_tall_as_the_paper_says():
     world = World(TaskConfig(num_pedestrians=1), 1)
     assert world.model.geom("person0/cylinder").size[:2] == pytest.approx([RADIUS, HEIGHT / 2])
+
+
+def test_a_process_forked_after_the_first_decision_is_told_instead_of_hanging():
+    world = World(TaskConfig(num_pedestrians=1), 1)
+    world.reset([0], [0])
+    world.step([0], [[0.0, 0.0]])
+    reader, writer = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Python and JAX warn of the fork
+        child = os.fork()
+    if child == 0:
+        try:
+            world.step([0], [[0.0, 0.0]])
+        except RuntimeError as error:
+            os.write(writer, str(error).encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert b"spawn" in os.read(reader, 1000)
