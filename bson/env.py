@@ -26,6 +26,14 @@ def _checked_action(action, shape):
     return action
 
 
+def _episode_config(config, options):
+    """`config` with the options of a reset, which must leave the spaces as they are."""
+    for name in ("map_size", "robot"):
+        if options.get(name, getattr(config, name)) != getattr(config, name):
+            raise ValueError(f"{name} shapes the observation space: give it to make, not to reset.")
+    return config.replace(**options)
+
+
 class BsonEnv(gymnasium.Env):
     """A Jackal drives to a goal among pedestrians (paper, sec. VI).
 
@@ -87,7 +95,7 @@ class BsonEnv(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         """Begins an episode; see the class."""
         super().reset(seed=seed)
-        self._session.configure(self.config.replace(**(options or {})))
+        self._session.configure(_episode_config(self.config, options or {}))
         seed = self._first_seed if seed is None else seed
         self._first_seed = None
         if seed is not None:
@@ -178,7 +186,7 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         mask = options.pop("reset_mask", None)
         if mask is None:
             ids = self._all
-            self._session.configure(self.config.replace(**options))
+            self._session.configure(_episode_config(self.config, options))
         else:
             if options:
                 raise ValueError("Options other than reset_mask are for a reset of all worlds.")

@@ -27,9 +27,7 @@ _jax_process = None  # the process in which pedestrians first decided
 
 def build_model(config: TaskConfig, sensors):
     """The MjModel of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
-    obstacles = round(config.obstacle_density * layout.max_maze_walls(config.map_size))
     example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
-    assert len(example.obstacles) == obstacles
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
     scene.add_boxes(spec, example.boxes, movable=True)

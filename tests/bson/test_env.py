@@ -145,6 +145,8 @@ def test_options_of_a_reset_hold_for_that_episode_alone():
     assert env.unwrapped.world.people.shape[1] == 4
     with pytest.raises(ValueError, match="Choose among"):
         env.reset(options={"pedestrian": 3})
+    with pytest.raises(ValueError, match="give it to make"):
+        env.reset(options={"map_size": 30.0})
 
 
 def test_options_hold_through_a_vector_environments_own_resets():
