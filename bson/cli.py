@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import os
 import pathlib
 import shlex
 import sys
@@ -25,13 +26,14 @@ def _overrides(pairs):
     return changes
 
 
-def _check_spawn(config, seed):
-    """Draws one episode, so that a map without room is told before anything runs."""
+def _check_spawn(config, seeds):
+    """Draws the episodes `seeds`, so that a map without room is told before anything runs."""
     import numpy as np
 
     from bson.task import spawn
 
-    spawn(config, np.random.default_rng(seed))
+    for seed in seeds:
+        spawn(config, np.random.default_rng(seed))
 
 
 def _play(make_agent, config, seeds, name):
@@ -97,8 +99,10 @@ def _evaluate(args):
     make_agent = load_agent(args.agent)
     if args.videos < 0:
         raise UsageError(f"--videos must be at least 0, not {args.videos}.")
-    _check_spawn(config, seeds[0])
+    _check_spawn(config, seeds)
     out = output_folder(args.out)
+    if (out / "results.json").is_dir():
+        raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
     episodes = _play(make_agent, config, seeds, args.agent)
     content = results(
         args.agent,
@@ -111,6 +115,8 @@ def _evaluate(args):
         command="bson " + shlex.join(args.argv),
     )
     print(format_summary(content), flush=True)
+    for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):  # of an earlier run: not of these results
+        stale.unlink(missing_ok=True)
     write_json(out / "results.json", content)
     videos, why_not = _films(episodes, config, out / "videos", args.videos, args.agent)
     write_bytes(out / "report.html", make_report(content, episodes, videos, why_not).encode())
@@ -132,9 +138,11 @@ def _render(args):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
     if args.seed < 0:
         raise UsageError(f"A seed must be at least 0, not {args.seed}.")
+    if path.is_dir():
+        raise UsageError(f"--out '{path}' is a folder. Name a file.")
     if problem := film.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
-    _check_spawn(config, args.seed)
+    _check_spawn(config, [args.seed])
     output_folder(path.parent)
     (episode,) = _play(make_agent, config, [args.seed], args.agent)
     model = build_model(config, make_track(*TRACK).sensors)
@@ -154,7 +162,7 @@ def _bench(args):
     from macid.pedestrians import make_controller
 
     make_controller(args.pedestrian_model, 0.1)
-    if min(args.pedestrians) < 0 or min(args.worlds) < 1 or args.seconds <= 0:
+    if min(args.pedestrians) < 0 or min(args.worlds) < 1 or not 0 < args.seconds < 1e6:
         raise UsageError("--pedestrians must be at least 0, --worlds at least 1, --seconds above 0.")
     rows = bench.run(args.pedestrians, args.worlds, args.sensors, args.seconds, args.pedestrian_model)
     if args.out:
@@ -245,6 +253,12 @@ def parser():
 def main(argv=None):
     """Entry point; returns the exit code."""
     argv = sys.argv[1:] if argv is None else argv
+    try:
+        import mujoco  # noqa: F401
+    except Exception as error:  # whatever its choice of GL brings up
+        chosen = os.environ.get("MUJOCO_GL", "")
+        print(f"bson: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.", file=sys.stderr)
+        return 2
     args = parser().parse_args(argv)
     args.argv = argv
     return run_command("bson", lambda: args.run(args))

@@ -1,5 +1,6 @@
 """Is this installation well? Versions, GL, threads, and how to mend what is missing."""
 
+import contextlib
 import importlib
 import os
 import platform
@@ -19,7 +20,9 @@ def _python():
 
 
 def _packages():
-    for name in ("mujoco", "mujoco.mjx", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "scipy", "tqdm"):
+    with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # MJX remarks that it has no Warp
+        importlib.import_module("mujoco.mjx")
+    for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "scipy", "tqdm"):
         importlib.import_module(name)
     return "all there"
 

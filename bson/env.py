@@ -26,6 +26,20 @@ def _checked_action(action, shape):
     return action
 
 
+def _check_seed(seed):
+    seeds = [] if seed is None else np.ravel(np.array(seed, dtype=object))
+    for one in seeds:
+        if one is not None and not (isinstance(one, (int, np.integer)) and 0 <= one < 2**62):
+            raise ValueError(f"A seed must be a whole number from 0 to 2**62 - 1, not {one!r}.")
+
+
+def _episode_options(options):
+    """A copy of a reset's options, which may be None. Raises ValueError for what is no dict."""
+    if options is not None and not isinstance(options, dict):
+        raise ValueError(f"options must be a dict of TaskConfig's fields, not {options!r}.")
+    return dict(options or {})
+
+
 def _episode_config(config, options):
     """`config` with the options of a reset, which must leave the spaces as they are."""
     for name in ("map_size", "robot"):
@@ -94,8 +108,9 @@ class BsonEnv(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         """Begins an episode; see the class."""
+        _check_seed(seed)
         super().reset(seed=seed)
-        self._session.configure(_episode_config(self.config, options or {}))
+        self._session.configure(_episode_config(self.config, _episode_options(options)))
         seed = self._first_seed if seed is None else seed
         self._first_seed = None
         if seed is not None:
@@ -182,15 +197,21 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
 
     def reset(self, *, seed=None, options=None):
         """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
-        options = dict(options or {})
+        options = _episode_options(options)
         mask = options.pop("reset_mask", None)
+        _check_seed(seed)
         if mask is None:
             ids = self._all
             self._session.configure(_episode_config(self.config, options))
         else:
             if options:
                 raise ValueError("Options other than reset_mask are for a reset of all worlds.")
+            mask = np.asarray(mask)
+            if mask.shape != (self.num_envs,) or mask.dtype != bool:
+                raise ValueError(f"reset_mask must be {self.num_envs} booleans, not {mask!r}.")
             ids = np.flatnonzero(mask)
+            if not self.world.begun(np.flatnonzero(~mask)):
+                raise gymnasium.error.ResetNeeded("Reset all worlds before some of them.")
         if seed is None and self._first_seed is not None:
             seed = self._first_seed
         self._first_seed = None

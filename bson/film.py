@@ -52,9 +52,15 @@ class Unavailable(RuntimeError):
 def gl_problem():
     """Why nothing can be drawn here and how to mend it, in one line; None where all is well."""
     try:
-        _gl_context(16, 16).free()
+        context = _gl_context(16, 16)
     except Unavailable as error:
         return str(error)
+    try:
+        mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_100).free()
+    except mujoco.FatalError as error:
+        return f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl."
+    finally:
+        context.free()
     return None
 
 

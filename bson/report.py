@@ -82,8 +82,8 @@ def plot_distributions(measured):
         if not len(values):
             axes.text(0.5, 0.5, "no people", ha="center", va="center", transform=axes.transAxes)
             continue
-        low, high = unit.get(name, (0.0, 1.0))
-        low, high = min(low, values.min()), max(high, values.max()) if name in unit else values.max() * 1.02 + 1e-9
+        low, high = unit.get(name, (0.0, 0.0))
+        low, high = min(low, values.min()), max(high, values.max()) + 1e-9
         axes.hist(values, bins=np.linspace(low, high, 21), color=_ACCENT, edgecolor="white", linewidth=0.6)
         axes.axvline(values.mean(), color=_BAD, linewidth=1.5)
     return figure

@@ -1,5 +1,6 @@
 """Episodes on worlds: actions in, observations, rewards and ends out. Every interface and the evaluation stand on this."""
 
+import gymnasium
 import numpy as np
 
 from bson.metrics import Episode
@@ -68,6 +69,8 @@ class Session:
         metres that the goal came closer in this step, a collision any contact during it.
         """
         world, config = self.world, self.config
+        if not world.begun(ids):
+            raise gymnasium.error.ResetNeeded("Call reset before step.")
         limit = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
         distance, collisions = world.distance[ids].copy(), world.collisions[ids].copy()
         world.step(ids, np.clip(action, -1.0, 1.0) * limit)

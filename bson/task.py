@@ -7,11 +7,12 @@ import numpy as np
 
 from bson.robot import RobotConfig
 from macid import layout as maps
-from macid.layout import MAP_SIZE, Layout
+from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout
 from macid.reward import RewardWeights
 from macid.state import PHYSICS_STEP
 
 PEDESTRIANS = 24  # the paper's, sec. VI-D
+MAX_PEDESTRIANS = 2000
 _START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
 _GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
 
@@ -31,7 +32,7 @@ class TaskConfig:
     lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each pedestrian's LCF is drawn
     map_size: float = MAP_SIZE
     control_period: float = 0.1  # between the robot's decisions
-    pedestrian_period: float = 0.1  # between the pedestrians' decisions
+    pedestrian_period: float = 0.1  # between the pedestrians' decisions; at most the control period
     horizon: int = 1000  # control steps until truncation
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
     reward: RewardWeights = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
@@ -44,24 +45,30 @@ class TaskConfig:
         object.__setattr__(self, "goal_distance", _pair("goal_distance", self.goal_distance))
         if self.num_pedestrians is not None and self.pedestrian_density is not None:
             raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
-        if self.num_pedestrians is not None and not (_is_whole(self.num_pedestrians) and self.num_pedestrians >= 0):
-            raise ValueError(f"num_pedestrians must be a whole number of at least 0, not {self.num_pedestrians!r}.")
+        count = self.num_pedestrians
+        if count is not None and not (_is_whole(count) and 0 <= count <= MAX_PEDESTRIANS):
+            raise ValueError(f"num_pedestrians must be a whole number of at least 0, at most {MAX_PEDESTRIANS}, not {count!r}.")
         for name in ("pedestrian_density", "obstacle_density"):
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and 0 <= value <= 1):
+            unset = name == "pedestrian_density" and value is None
+            if not unset and not (_is_number(value) and 0 <= value <= 1):
                 raise ValueError(f"{name} must be between 0 and 1, not {value!r}.")
         if not (_is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
             raise ValueError(f"map_size must be between 10 and 500 m, not {self.map_size!r}.")
-        if not 0 < self.goal_distance[0] <= self.goal_distance[1]:
-            raise ValueError(f"goal_distance must be two positive lengths (least, most), not {self.goal_distance}.")
+        if not 1.0 <= self.goal_distance[0] <= self.goal_distance[1]:
+            raise ValueError(f"goal_distance must be two lengths (least, most) of at least 1 m, not {self.goal_distance}.")
         if not (_is_whole(self.horizon) and self.horizon >= 1):
             raise ValueError(f"horizon must be a whole number of at least 1, not {self.horizon!r}.")
         _multiple("pedestrian_period", self.pedestrian_period, "the physics step", PHYSICS_STEP)
         _multiple("control_period", self.control_period, "the physics step", PHYSICS_STEP)
-        if self.pedestrian_period > self.control_period:
-            object.__setattr__(self, "pedestrian_period", self.control_period)
-        _multiple("control_period", self.control_period, "pedestrian_period", self.pedestrian_period)
-        make_controller(self.pedestrian_model, self.pedestrian_period)
+        if self.control_period > 10.0:
+            raise ValueError(f"control_period must be at most 10 s, not {self.control_period!r}.")
+        _multiple("control_period", self.control_period, "pedestrian_period", self.decision_period)
+        if not isinstance(self.pedestrian_model, str):
+            raise ValueError(f"pedestrian_model must be a name, not {self.pedestrian_model!r}.")
+        for name, kind in (("reward", RewardWeights), ("robot", RobotConfig)):
+            object.__setattr__(self, name, _as_dataclass(name, getattr(self, name), kind))
+        make_controller(self.pedestrian_model, self.decision_period)
 
     @property
     def people(self):
@@ -71,14 +78,24 @@ class TaskConfig:
         return PEDESTRIANS if self.num_pedestrians is None else self.num_pedestrians
 
     @property
+    def people_goal_distance(self):
+        """Least and most distance from a pedestrian's place to its goal [m]; less than usual on small maps."""
+        return min(GOAL_DISTANCE[0], self.map_size / 4), GOAL_DISTANCE[1]
+
+    @property
+    def decision_period(self):
+        """Time between the pedestrians' decisions [s]: at least one falls in a control step."""
+        return min(self.pedestrian_period, self.control_period)
+
+    @property
     def decisions(self):
         """Pedestrians' decisions in a control step."""
-        return round(self.control_period / self.pedestrian_period)
+        return round(self.control_period / self.decision_period)
 
     @property
     def substeps(self):
         """Physics steps in a pedestrians' decision."""
-        return round(self.pedestrian_period / PHYSICS_STEP)
+        return round(self.decision_period / PHYSICS_STEP)
 
     def replace(self, **changes):
         """This configuration with `changes`; a pedestrian count replaces a density and the other way round.
@@ -117,6 +134,16 @@ def _pair(name, value):
     return float(least), float(most)
 
 
+def _as_dataclass(name, value, kind):
+    """`value`, or the `kind` that a dict of its fields stands for. Raises ValueError, naming the fields."""
+    if isinstance(value, kind):
+        return value
+    fields = [field.name for field in dataclasses.fields(kind)]
+    if isinstance(value, dict) and set(value) <= set(fields) and all(_is_number(v) for v in value.values()):
+        return dataclasses.replace(getattr(TaskConfig, name), **value)
+    raise ValueError(f"{name} must be a dict of numbers for {', '.join(fields)}, not {value!r}.")
+
+
 def _multiple(name, value, of_name, of):
     if not (_is_number(value) and value > 0 and abs(round(value / of) * of - value) < 1e-9 and round(value / of) >= 1):
         raise ValueError(f"{name} must be a multiple of {of_name} ({of:g} s), not {value!r}.")
@@ -129,6 +156,7 @@ class Spawn(typing.NamedTuple):
     robot: np.ndarray  #: (3,) x, y, yaw
     goal: np.ndarray  #: (2,)
     people: np.ndarray  #: (K, 3) x, y, yaw
+    people_goals: np.ndarray  #: (K, 2)
     lcf: np.ndarray  #: (K,)
 
 
@@ -151,10 +179,12 @@ def spawn(config: TaskConfig, rng) -> Spawn:
     people = maps.sample_people(rng, layout, config.people, taken=start, keep_off=_START_CLEARANCE)
     people = people.reshape(-1, 2)
     towards = goal - start[0]
+    people_goals = maps.sample_goals(rng, layout, people, config.people_goal_distance)
     return Spawn(
         layout,
         np.array([*start[0], np.arctan2(towards[1], towards[0])]),
         goal,
         np.concatenate([people, rng.uniform(-np.pi, np.pi, (len(people), 1))], axis=-1),
+        people_goals,
         rng.uniform(*config.lcf, len(people)),
     )

@@ -37,6 +37,11 @@ def build_model(config: TaskConfig, sensors):
     return spec.compile()
 
 
+def _way(router, place, goal):
+    """Waypoints (W, 2) [m] from `place` to `goal`, the goal last; straight where there is no router."""
+    return goal[None] if router is None else router.path(place, goal)
+
+
 def _refuse_forked_jax():
     """Raises RuntimeError in a process that was forked after JAX began its threads: it would wait for ever."""
     global _jax_process
@@ -95,7 +100,11 @@ class World:
             setattr(self, name, np.zeros(nworld, np.int64))
         self.arrived = np.zeros(nworld, bool)
         self.readings = {sensor.key: np.zeros((nworld, *sensor.space.shape), np.float32) for sensor in self.sensors}
-        self._decide = self._compile_decision(make_controller(config.pedestrian_model, config.pedestrian_period))
+        self._decide = self._compile_decision(make_controller(config.pedestrian_model, config.decision_period))
+
+    def begun(self, ids):
+        """Whether all of the worlds `ids` have had a reset."""
+        return all(self._rngs[index] is not None for index in ids)
 
     @property
     def people(self):
@@ -116,11 +125,15 @@ class World:
         """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
         ids = np.asarray(ids, dtype=int)
         rngs = [np.random.default_rng(int(seed)) for seed in seeds]
-        drawn = [spawn(self.config, rng) for rng in rngs]
+        drawn = []
+        for rng in rngs:
+            s = spawn(self.config, rng)
+            router = Router(s.layout) if s.layout.routed else None
+            drawn.append((s, router, [_way(router, *ends) for ends in zip(s.people[:, :2], s.people_goals, strict=True)]))
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        for index, seed, rng, s in zip(ids, seeds, rngs, drawn, strict=True):
+        for index, seed, rng, (s, router, ways) in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
-            self.layouts[index], self._routers[index] = s.layout, Router(s.layout) if s.layout.routed else None
+            self.layouts[index], self._routers[index] = s.layout, router
             boxes = self.boxes[index] = s.layout.boxes
             self._mocap_pos[index, :, :2] = boxes[:, :2]
             self._mocap_quat[index] = np.stack(
@@ -129,9 +142,8 @@ class World:
             self._qpos[index, self._people] = s.people.ravel()
             self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
             self.goal[index], self.lcf[index] = s.goal, s.lcf
-            self._routes[index] = [np.empty((0, 2))] * self.config.people
-            if self.config.people:
-                self._new_goals(index, np.arange(self.config.people))
+            self._routes[index] = [way[1:] for way in ways]
+            self.people_goals[index] = np.reshape([way[0] for way in ways], (-1, 2))
             self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
         for counter in ("travelled", "time", "steps", "collisions"):
             getattr(self, counter)[ids] = 0
@@ -151,7 +163,7 @@ class World:
             self._account(ids, before, record)
             self._advance_people(ids)
         self.steps[ids] += 1
-        self.time[ids] += self.config.control_period
+        self.time[ids] = np.round(self.steps[ids] * self.config.control_period, 9)
         self._sense(ids)
 
     def _compile_decision(self, controller):
@@ -189,12 +201,19 @@ class World:
             self._ctrl[index, self._people] = command
 
     def _new_goals(self, index, who):
-        """New goals, and ways to them, for the people `who` of a world, from where they stand."""
+        """New goals, and ways to them, for the people `who` of a world, from where they stand.
+
+        Who finds none (crowded into a corner of a small map) stays, and asks again at the next decision.
+        """
         places = self.people[index, who, :2]
-        goals = layout.sample_goals(self._rngs[index], self.layouts[index], places)
-        router = self._routers[index]
+        try:
+            goals = layout.sample_goals(
+                self._rngs[index], self.layouts[index], places, self.config.people_goal_distance
+            )
+        except layout.NoFreeSpace:
+            return
         for person, place, goal in zip(who, places, goals, strict=True):
-            way = goal[None] if router is None else router.path(place, goal)
+            way = _way(self._routers[index], place, goal)
             self.people_goals[index, person], self._routes[index][person] = way[0], way[1:]
 
     def _advance_people(self, ids):

@@ -18,6 +18,8 @@ def _evaluate(args):
         raise UsageError(f"Unknown level {unknown[0]}. Choose among {', '.join(map(str, LEVELS))}.")
     if args.episodes < 1:
         raise UsageError(f"--episodes must be at least 1, not {args.episodes}.")
+    if args.seed < 0:
+        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
     if args.bins:
         ranges = lcf_bins(args.pedestrian)
     else:

@@ -28,6 +28,8 @@ class CrowdConfig:
             raise ValueError(f"A crowd needs at least one person, not {self.number}.")
         if not np.isfinite(self.period) or self.substeps < 1 or abs(self.substeps * PHYSICS_STEP - self.period) > 1e-9:
             raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
+        if not self.period <= self.duration < np.inf:
+            raise ValueError(f"duration must be at least the period, {self.period:g} s, not {self.duration} s.")
         if not -np.inf < self.lcf[0] <= self.lcf[1] < np.inf:
             raise ValueError(f"lcf must be a range (least, most), not {self.lcf}.")
 
@@ -108,7 +110,7 @@ class Crowd:
     def rollout(self, episode: Episode, controller, steps=None):
         """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and the positions
         (steps, nworld, K, 2) [m] before each decision."""
-        return self._rollout(episode, controller, steps or self.config.steps)
+        return self._rollout(episode, controller, self.config.steps if steps is None else steps)
 
     def _rollout(self, episode, controller, steps):
         key = (controller, steps)

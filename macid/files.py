@@ -54,6 +54,9 @@ def run_command(program, main):
             raise
         print(f"{program}: error: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads has had enough, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         return 130

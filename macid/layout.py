@@ -185,7 +185,7 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
     for _ in range(_TRIES):
         missing = number - len(places)
         if missing == 0:
-            return places
+            break
         candidates = rng.uniform(-half, half, (2 * missing + 8, 2))
         candidates = candidates[clearance(candidates, boxes) >= RADIUS + gap]
         if len(taken):
@@ -194,6 +194,8 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
         for candidate in candidates[:missing]:
             if not len(places) or np.linalg.norm(places - candidate, axis=-1).min() >= 2 * RADIUS + gap:
                 places = np.concatenate([places, candidate[None]])
+    if len(places) == number:
+        return places
     raise NoFreeSpace(
         f"Only {len(places)} of {number} people found room on map '{layout.name}' ({layout.size:g} x {layout.size:g} m, "
         f"{len(layout.obstacles)} obstacles). Lower the pedestrian or obstacle density."
@@ -210,13 +212,15 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3):
     goals, missing = np.full_like(starts, np.nan), np.arange(len(starts))
     for _ in range(_TRIES):
         if not len(missing):
-            return goals
+            break
         apart = np.sqrt(rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing)))  # uniform over the ring's area
         angle = rng.uniform(-np.pi, np.pi, len(missing))
         drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         good = (np.abs(drawn) <= half).all(axis=-1) & (clearance(drawn, boxes) >= RADIUS + gap)
         goals[missing[good]] = drawn[good]
         missing = missing[~good]
+    if not len(missing):
+        return goals
     raise NoFreeSpace(
         f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal {distance[0]:g} to {distance[1]:g} m "
         f"from {np.round(starts[missing[0]], 2).tolist()}."

@@ -8,7 +8,9 @@ seed. observation: the dict of one world (see bson.env.BsonEnv). action: (2,) in
 import importlib
 import importlib.util
 import inspect
+import os
 import pathlib
+import sys
 
 import numpy as np
 
@@ -41,6 +43,8 @@ def load_agent(name):
 
 
 def _from_module(module, attribute, name):
+    if os.getcwd() not in sys.path:  # a console script has no current folder there
+        sys.path.insert(0, os.getcwd())
     try:
         loaded = importlib.import_module(module)
     except ImportError as error:
@@ -52,7 +56,10 @@ def _from_file(path, attribute, name):
     if not pathlib.Path(path).is_file():
         raise AgentError(f"Agent '{name}': there is no file '{path}'. {_HELP}")
     spec = importlib.util.spec_from_file_location(f"bson_agent_{pathlib.Path(path).stem}", path)
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    folder = str(pathlib.Path(path).resolve().parent)
+    if folder not in sys.path:  # for what lies beside the file
+        sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -74,10 +81,10 @@ def _factory(found, name):
     if not inspect.isclass(found):
         return lambda: found
     try:
-        found()
+        made = [found()]
     except TypeError as error:
         raise AgentError(f"Agent '{name}': its class must be constructible without arguments ({error}).") from None
-    return found
+    return lambda: made.pop() if made else found()
 
 
 def act(agent, observation, name="agent"):

@@ -75,3 +75,19 @@ def test_an_agents_own_failure_keeps_its_cause():
     with pytest.raises(RuntimeError, match="'mine' raised KeyError") as caught:
         act(lambda observation: observation["camera"], OBSERVATION, "mine")
     assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_a_class_is_built_once_a_world_and_a_file_may_import_its_neighbours(tmp_path, monkeypatch):
+    (tmp_path / "beside.py").write_text("SPEED = 0.4\n")
+    (tmp_path / "counted.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\nfrom beside import SPEED\n\n"
+        "built = []\n\n@dataclass\nclass agent:\n    speed: float = SPEED\n\n"
+        "    def __post_init__(self):\n        built.append(1)\n\n"
+        "    def __call__(self, observation):\n        return [self.speed, len(built)]\n"
+    )
+    make = load_agent(str(tmp_path / "counted.py"))
+    agents = [make(), make()]
+    assert act(agents[0], OBSERVATION).tolist() == [0.4, 2.0]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "near.py").write_text("def agent(observation):\n    return [0.3, 0.0]\n")
+    assert act(load_agent("near:agent")(), OBSERVATION)[0] == 0.3

@@ -145,6 +145,8 @@ def test_options_of_a_reset_hold_for_that_episode_alone():
     assert env.unwrapped.world.people.shape[1] == 4
     with pytest.raises(ValueError, match="Choose among"):
         env.reset(options={"pedestrian": 3})
+    with pytest.raises(ValueError, match="must be a dict"):
+        env.reset(options=5)
     with pytest.raises(ValueError, match="give it to make"):
         env.reset(options={"map_size": 30.0})
 
@@ -186,7 +188,23 @@ def test_disabled_autoreset_waits_for_a_masked_reset():
     with pytest.raises(ValueError, match="reset_mask"):
         env.step(np.zeros((2, 2)))
     observation, info = env.reset(options={"reset_mask": np.array([True, False])})
-    assert info["time"].tolist() == [0.0, pytest.approx(0.2)]
+    assert info["time"].tolist() == [0.0, 0.2]
+    with pytest.raises(ValueError, match="2 booleans"):
+        env.reset(options={"reset_mask": np.array([True])})
+
+
+def test_stepping_or_masking_before_the_first_reset_is_told():
+    many = gymnasium.make_vec(ID, num_envs=2, **SMALL)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        many.step(np.zeros((2, 2)))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        many.reset(options={"reset_mask": np.array([True, False])})
+
+
+@pytest.mark.parametrize("seed", [-1, 2**70, "one"])
+def test_a_bad_seed_is_told(seed):
+    with pytest.raises(ValueError, match="whole number from 0"):
+        gymnasium.make_vec(ID, num_envs=2, **SMALL).reset(seed=seed)
 
 
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [0.0], [[0.0, 0.0]], [np.inf, 0.0]])

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -103,3 +104,10 @@ def test_a_straight_free_drive_in_simulation_scores_its_route_completion():
     done = measure(episode)
     assert episode.arrived and done["Coll"] == 0
     assert done["SNS"] == pytest.approx(100 * done["RC"], rel=0.005)
+
+
+def test_the_report_bears_episodes_that_all_went_wrong():
+    config = SMALL.replace(horizon=2)
+    episodes = run_episodes(load_agent("stop"), config, TRACK, [1, 2])
+    worst = [dataclasses.replace(e, nearest_person=e.nearest_person * 0 - 0.1, final_distance=99.0) for e in episodes]
+    assert "<b>" in make_report(results("stop", "smoke", config, worst, people=5), worst)

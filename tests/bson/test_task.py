@@ -30,8 +30,14 @@ def test_defaults_are_the_papers():
         ({"control_period": 0.03}, "multiple of the physics step"),
         ({"control_period": 0.1, "pedestrian_period": 0.06}, "multiple of pedestrian_period"),
         ({"horizon": 0}, "at least 1"),
-        ({"goal_distance": (0.0, 1.0)}, "positive"),
+        ({"goal_distance": (0.0, 1.0)}, "at least 1 m"),
         ({"pedestrians": 3}, "num_pedestrians"),
+        ({"num_pedestrians": 10**6}, "at most 2000"),
+        ({"obstacle_density": None}, "between 0 and 1"),
+        ({"pedestrian_model": ["orca"]}, "must be a name"),
+        ({"reward": 3}, "distance, goal, collision"),
+        ({"robot": {"max_sped": 1.0}}, "max_speed"),
+        ({"control_period": 1e9}, "at most 10 s"),
     ],
 )
 def test_a_wrong_value_is_told_and_the_valid_ones_are_named(changes, named):
@@ -48,7 +54,8 @@ def test_density_is_a_share_of_the_densest_crowd_and_replaces_a_count():
 
 def test_one_lcf_stands_for_a_range_and_a_long_pedestrian_period_is_cut():
     assert TaskConfig(lcf=1).lcf == (1.0, 1.0)
-    assert TaskConfig(control_period=0.06, pedestrian_period=0.1).pedestrian_period == 0.06
+    assert TaskConfig(control_period=0.06, pedestrian_period=0.1).decision_period == 0.06
+    assert TaskConfig(reward={"goal": 5.0}).reward.goal == 5.0
 
 
 @pytest.mark.parametrize("density", [0.0, 0.5, 1.0])

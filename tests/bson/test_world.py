@@ -11,6 +11,7 @@ from bson.sensors import Imu, Lidar2D
 from bson.task import TaskConfig
 from bson.world import World
 from macid import geometry
+from macid.layout import NoFreeSpace
 from macid.state import HEIGHT, RADIUS
 
 SENSORS = (Imu(), Lidar2D())
@@ -247,3 +248,17 @@ def test_a_process_forked_after_the_first_decision_is_told_instead_of_hanging():
         os._exit(0)
     os.waitpid(child, 0)
     assert b"spawn" in os.read(reader, 1000)
+
+
+def test_small_maps_run_on_and_a_failed_reset_changes_nothing():
+    world = World(TaskConfig(num_pedestrians=6, map_size=12.0, goal_distance=(4, 8)), 2)
+    world.reset([0, 1], [1, 3])
+    for _ in range(240):
+        world.step([0, 1], np.zeros((2, 2)))
+    crowded = World(TaskConfig(num_pedestrians=60, map_size=14.0, goal_distance=(4, 8)), 1)
+    crowded.reset([0], [0])
+    before = crowded.qpos[0].copy()
+    crowded.config = crowded.config.replace(goal_distance=(30, 40))
+    with pytest.raises(NoFreeSpace):
+        crowded.reset([0], [1])
+    assert crowded.seed[0] == 0 and np.array_equal(crowded.qpos[0], before)
