@@ -115,7 +115,10 @@ def _evaluate(args):
         command="bson " + shlex.join(args.argv),
     )
     print(format_summary(content), flush=True)
-    for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):  # of an earlier run: not of these results
+    for stale in (
+        out / "report.html",
+        *(out / "videos").glob("seed-*.webm"),
+    ):  # of an earlier run: not of these results
         stale.unlink(missing_ok=True)
     write_json(out / "results.json", content)
     videos, why_not = _films(episodes, config, out / "videos", args.videos, args.agent)
@@ -257,7 +260,10 @@ def main(argv=None):
         import mujoco  # noqa: F401
     except Exception as error:  # whatever its choice of GL brings up
         chosen = os.environ.get("MUJOCO_GL", "")
-        print(f"bson: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.", file=sys.stderr)
+        print(
+            f"bson: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
+            file=sys.stderr,
+        )
         return 2
     args = parser().parse_args(argv)
     args.argv = argv

@@ -47,7 +47,9 @@ class TaskConfig:
             raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
         count = self.num_pedestrians
         if count is not None and not (_is_whole(count) and 0 <= count <= MAX_PEDESTRIANS):
-            raise ValueError(f"num_pedestrians must be a whole number of at least 0, at most {MAX_PEDESTRIANS}, not {count!r}.")
+            raise ValueError(
+                f"num_pedestrians must be a whole number of at least 0, at most {MAX_PEDESTRIANS}, not {count!r}."
+            )
         for name in ("pedestrian_density", "obstacle_density"):
             value = getattr(self, name)
             unset = name == "pedestrian_density" and value is None
@@ -56,7 +58,9 @@ class TaskConfig:
         if not (_is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
             raise ValueError(f"map_size must be between 10 and 500 m, not {self.map_size!r}.")
         if not 1.0 <= self.goal_distance[0] <= self.goal_distance[1]:
-            raise ValueError(f"goal_distance must be two lengths (least, most) of at least 1 m, not {self.goal_distance}.")
+            raise ValueError(
+                f"goal_distance must be two lengths (least, most) of at least 1 m, not {self.goal_distance}."
+            )
         if not (_is_whole(self.horizon) and self.horizon >= 1):
             raise ValueError(f"horizon must be a whole number of at least 1, not {self.horizon!r}.")
         _multiple("pedestrian_period", self.pedestrian_period, "the physics step", PHYSICS_STEP)

@@ -22,6 +22,7 @@ from macid.routing import Router
 from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 _FAR = np.inf
+_CLOSING_SPEED = 10.0  # that no robot and person exceed [m/s]
 _jax_process = None  # the process in which pedestrians first decided
 
 
@@ -129,7 +130,9 @@ class World:
         for rng in rngs:
             s = spawn(self.config, rng)
             router = Router(s.layout) if s.layout.routed else None
-            drawn.append((s, router, [_way(router, *ends) for ends in zip(s.people[:, :2], s.people_goals, strict=True)]))
+            drawn.append(
+                (s, router, [_way(router, *ends) for ends in zip(s.people[:, :2], s.people_goals, strict=True)])
+            )
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         for index, seed, rng, (s, router, ways) in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
@@ -236,7 +239,10 @@ class World:
         poses = robot.planar_pose(qpos[..., self._robot_qpos])
         way = np.diff(np.concatenate([before[:, None], poses], axis=1)[..., :2], axis=1)
         self.travelled[ids] += np.hypot(way[..., 0], way[..., 1]).sum(axis=-1)
-        person = self._person_gaps(poses, qpos).min(axis=-1, initial=_FAR) <= CONTACT_GAP
+        person = np.zeros(poses.shape[:2], bool)
+        near = np.flatnonzero(self.nearest_person[ids] <= _CLOSING_SPEED * self.config.control_period)
+        if len(near):  # the others can't have met anybody since the last look
+            person[near] = self._person_gaps(poses[near], qpos[near]).min(axis=-1, initial=_FAR) <= CONTACT_GAP
         solid = self._box_contacts(ids, poses)
         wall, obstacle = solid[..., :4].any(axis=-1), solid[..., 4:].any(axis=-1)
         self.collisions[ids] += (person | wall | obstacle).sum(axis=-1)

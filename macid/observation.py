@@ -44,22 +44,17 @@ def cast_rays(state, boxes):
     myself = xp.eye(state.position.shape[-2], dtype=bool)[:, None, :]
     to_people = xp.where(myself, xp.full_like(to_people, geometry.NO_HIT), to_people)
     to_boxes = xp.min(geometry.ray_box_distance(state.position, directions, boxes[..., None, :, :]), axis=-1)
-    nearest = xp.argmin(to_people, axis=-1)
     person = xp.min(to_people, axis=-1)
     distance = xp.minimum(xp.minimum(person, to_boxes), xp.full_like(person, RAY_RANGE))
-    hit_velocity = _gather(state.velocity, nearest)
+    # The velocity of whom a ray meets, as a sum over all people with one of them marked: a gather costs more.
+    met = (to_people == person[..., None]) & (person[..., None] < RAY_RANGE)
+    met = xp.astype(met, state.position.dtype)
+    met = met / xp.maximum(xp.sum(met, axis=-1, keepdims=True), xp.ones_like(person)[..., None])
+    hit_velocity = met @ state.velocity[..., None, :, :]
     is_person = (person <= to_boxes)[..., None]
     hit_velocity = xp.where(is_person, hit_velocity, xp.zeros_like(hit_velocity))
     relative = hit_velocity - state.velocity[..., None, :]
     return distance, xp.where((distance < RAY_RANGE)[..., None], relative, xp.zeros_like(relative))
-
-
-def _gather(values, index):
-    """`values` (..., K, 2) at `index` (..., K, RAYS): (..., K, RAYS, 2)."""
-    xp = values.__array_namespace__()
-    flat = index.reshape(*index.shape[:-2], -1)[..., None]
-    picked = xp.take_along_axis(values, xp.broadcast_to(flat, (*flat.shape[:-1], 2)), axis=-2)
-    return picked.reshape(*index.shape, 2)
 
 
 def observe(state, boxes, goals):

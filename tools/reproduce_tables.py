@@ -63,11 +63,11 @@ def evaluated(rows, name, pedestrian, level, lcf, episodes, period):
 
 
 def over_seeds(rows_by_seed):
-    """Mean and standard deviation over seeds of every column on every level: (2, levels * columns)."""
+    """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None of one."""
     values = np.array(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in COLUMNS] for rows in rows_by_seed]
     )
-    return np.nanmean(values, axis=0), np.nanstd(values, axis=0)
+    return np.nanmean(values, axis=0), np.nanstd(values, axis=0) if len(values) > 1 else None
 
 
 def line(label, mean, std=None):
@@ -127,9 +127,8 @@ def run(args):
             for index, file in enumerate(files)
         ]
         mean, std = over_seeds(seeds)
-        table.append(
-            line(f"{name} ({len(files)} seeds)" if name in policies else name, mean, std if name in policies else None)
-        )
+        label = f"{name} ({len(files)} seed{'s' if len(files) > 1 else ''})" if name in policies else name
+        table.append(line(label, mean, std))
         if name in PAPER_TABLE_2:
             table.append(line("*paper*", PAPER_TABLE_2[name]))
         curves[name] = np.mean([[row["SR"] for row in levels] for levels in seeds], axis=0)
