@@ -59,8 +59,9 @@ class World:
     """`nworld` worlds. Arrays have a leading axis (nworld,); after `step(ids, ...)` the rows `ids`, in ascending
     order, are current.
 
-    seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m]; start_distance,
-    distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps; arrived: bool;
+    seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m];
+    start_distance, distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps;
+    arrived: bool; nearest_person: surface to surface [m];
     people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,); and counts of physics steps (0.02 s) in which the
     robot touched anything (collisions), a person, an obstacle, an outer wall.
     """

@@ -35,7 +35,8 @@ def measure(config, seconds=3.0):
 def run(engine="native", levels=LEVELS, worlds=WORLDS, seconds=3.0, preset="fast", show=print):
     """Prints the table, a line a case; returns its rows as dicts."""
     show(
-        f"{jax.default_backend()}, {os.cpu_count()} CPUs, jax {jax.__version__}; engine {engine}, preset {preset}, 0.02 s a decision"
+        f"{jax.default_backend()}, {os.cpu_count()} CPUs, jax {jax.__version__}; "
+        f"engine {engine}, preset {preset}, 0.02 s a decision"
     )
     show(f"{'people':>7}{'worlds':>8}{'rollout agent-steps/s':>23}{'training agent-steps/s':>24}")
     rows = []

@@ -89,11 +89,12 @@ def format_table(rows):
         return f"{row[name]:.1f} +- {row[name + '_std']:.1f}"
 
     lines = [
-        f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  {'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"
+        f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  "
+        f"{'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"
     ]
     for row in rows:
         lines.append(
-            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}{_range(row['config']['lcf']):>15}  {cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}"
-            f"{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
+            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}{_range(row['config']['lcf']):>15}  "
+            f"{cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
         )
     return "\n".join(lines)
