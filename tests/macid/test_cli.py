@@ -26,7 +26,7 @@ def test_evaluate_writes_the_table(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of macid"),
+        (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of "),
         (["--levels", "1", "7"], "Unknown level 7. Choose among 1, 2, 3, 4"),
         (["--episodes", "0"], "--episodes must be at least 1, not 0"),
         (["--period", "0.03"], "multiple of the physics step 0.02 s, not 0.03"),
