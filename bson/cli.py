@@ -59,11 +59,10 @@ def _play(make_agent, config, seeds, name):
 
 def _films(episodes, config, folder, number, name):
     """Films the worst, the best, and episodes between; returns (path, caption) pairs and why there are none."""
-    import numpy as np
     from tqdm import tqdm
 
     from bson import film
-    from bson.metrics import measure
+    from bson.metrics import sns, spread_by_score
     from bson.tracks import make_track
     from bson.world import build_model
 
@@ -73,16 +72,14 @@ def _films(episodes, config, folder, number, name):
         print(f"No video: {problem}", file=sys.stderr)
         return [], f"No video: {problem}"
     output_folder(folder)
-    ranked = sorted(episodes, key=lambda episode: measure(episode)["SNS"])
-    places = np.unique(np.linspace(0, len(ranked) - 1, min(number, len(ranked))).round().astype(int))
+    chosen = spread_by_score(episodes, number)
     model = build_model(config, make_track(*TRACK).sensors)
     made = []
-    for place in tqdm(places, unit="film", desc="filming", file=sys.stderr):
-        episode = ranked[place]
+    for place, episode in enumerate(tqdm(chosen, unit="film", desc="filming", file=sys.stderr)):
         path = folder / f"seed-{episode.seed}.webm"
         film.film(model, episode, path, title=name)
-        kind = {0: "worst episode", len(ranked) - 1: "best episode"}.get(int(place), "episode")
-        made.append((path, f"seed {episode.seed}, the {kind}: SNS {measure(episode)['SNS']:.1f}"))
+        kind = {0: ", the worst episode", len(chosen) - 1: ", the best episode"}.get(place, "")
+        made.append((path, f"seed {episode.seed}{kind}: SNS {sns(episode):.1f}"))
     return made, ""
 
 
@@ -115,10 +112,8 @@ def _evaluate(args):
         command="bson " + shlex.join(args.argv),
     )
     print(format_summary(content), flush=True)
-    for stale in (
-        out / "report.html",
-        *(out / "videos").glob("seed-*.webm"),
-    ):  # of an earlier run: not of these results
+    # What an earlier run left here does not belong to these results.
+    for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
         stale.unlink(missing_ok=True)
     write_json(out / "results.json", content)
     videos, why_not = _films(episodes, config, out / "videos", args.videos, args.agent)

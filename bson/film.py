@@ -208,10 +208,9 @@ class Film:
         data = self._data
         data.qpos[:] = episode.qpos[step]
         if self._boxes:
-            yaw = episode.boxes[:, 4] / 2
             data.mocap_pos[:, :2] = episode.boxes[:, :2]
             data.mocap_pos[:, 2] = self._model.body_pos[self._boxes, 2]
-            data.mocap_quat[:] = np.stack([np.cos(yaw), 0 * yaw, 0 * yaw, np.sin(yaw)], axis=-1)
+            data.mocap_quat[:] = geometry.yaw_quaternion(episode.boxes[:, 4])
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)

@@ -95,6 +95,13 @@ def measure(episode):
     }
 
 
+def spread_by_score(episodes, most):
+    """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
+    ranked = sorted(episodes, key=sns)
+    places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)
+    return [ranked[place] for place in np.unique(places)]
+
+
 def summarise(measured, resamples=9999):
     """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high"}}.
 

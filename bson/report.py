@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 
-from bson.metrics import measure
+from bson.metrics import measure, spread_by_score
 
 _INK, _ACCENT, _BAD, _GRID = "#1d2733", "#1f6f8b", "#c0392b", "#d9dfe5"
 
@@ -97,8 +97,7 @@ def plot_trajectories(episodes, most=9):
 
     from bson.film import lcf_colour
 
-    ranked = sorted(episodes, key=lambda episode: measure(episode)["SNS"])
-    chosen = [ranked[i] for i in np.unique(np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int))]
+    chosen = spread_by_score(episodes, most)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     figure = _new_figure(figsize=(11.5, 4.1 * rows), layout="constrained")

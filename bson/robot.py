@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from macid import assets
+from macid import assets, geometry
 
 WHEELS = ("front_left_wheel", "rear_left_wheel", "front_right_wheel", "rear_right_wheel")  # the actuators' order
 
@@ -77,8 +77,8 @@ def planar_velocity(qpos, qvel):
 def spawn_qpos(x, y, yaw, config=RobotConfig()):
     """`qpos` (..., 7) of a robot that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
-    zero, height = np.zeros(yaw.shape), np.full(yaw.shape, config.spawn_height)
-    return np.stack([x, y, height, np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=-1)
+    place = np.stack([x, y, np.full(yaw.shape, config.spawn_height)], axis=-1)
+    return np.concatenate([place, geometry.yaw_quaternion(np.asarray(yaw, dtype=float))], axis=-1)
 
 
 def footprint(pose, config=RobotConfig()):

@@ -140,9 +140,7 @@ class World:
             self.layouts[index], self._routers[index] = s.layout, router
             boxes = self.boxes[index] = s.layout.boxes
             self._mocap_pos[index, :, :2] = boxes[:, :2]
-            self._mocap_quat[index] = np.stack(
-                [np.cos(boxes[:, 4] / 2), *np.zeros((2, len(boxes))), np.sin(boxes[:, 4] / 2)], axis=-1
-            )
+            self._mocap_quat[index] = geometry.yaw_quaternion(boxes[:, 4])
             self._qpos[index, self._people] = s.people.ravel()
             self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
             self.goal[index], self.lcf[index] = s.goal, s.lcf

@@ -15,9 +15,14 @@ TOLERATED = 20  # Fig. 2: SR_n for n = 1 to this
 _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
 
 
+def _recipe(pedestrian):
+    """How a learned model was made; empty for a rule."""
+    return getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+
+
 def table_lcf(pedestrian):
     """The range of LCFs (least, most) with which a model enters Table II; rules ignore it."""
-    recipe = getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+    recipe = _recipe(pedestrian)
     if "lcf_mean" in recipe:  # CoPO's own distribution, as a uniform one of its mean and standard deviation
         mean, half = recipe["lcf_mean"], 3**0.5 * recipe["lcf_std"]
         return max(-1.0, mean - half), min(1.0, mean + half)
@@ -29,7 +34,7 @@ def lcf_bins(pedestrian):
 
     Raises ValueError for a model without LCFs.
     """
-    recipe = getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+    recipe = _recipe(pedestrian)
     low, high = get_method(recipe["method"]).lcf if "method" in recipe else (0.0, 0.0)
     if low == high:
         raise ValueError(f"'{pedestrian}' was not trained with LCFs: there is nothing to divide.")

@@ -30,6 +30,13 @@ def rotate(vector, angle):
     return xp.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
+def yaw_quaternion(yaw):
+    """Quaternion (..., 4), w first, of a turn by `yaw` (...) [rad] about the vertical."""
+    xp = _namespace(yaw)
+    zero = xp.zeros_like(yaw)
+    return xp.stack([xp.cos(yaw / 2), zero, zero, xp.sin(yaw / 2)], axis=-1)
+
+
 def to_body(vector, yaw):
     """World-frame `vector` (..., 2) seen from bodies at `yaw` (...) [rad]: (..., 2), body frame."""
     return rotate(vector, -yaw)

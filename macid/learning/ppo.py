@@ -68,11 +68,15 @@ def init_parameters(key, config, critics=("individual", "neighborhood"), mean_fi
     }
 
 
+def gaussian_log_density(z, log_std):
+    """Log density (...) of mean + exp(log_std) z, for z (..., ACTIONS) of a diagonal Gaussian."""
+    return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
+
+
 def log_probability(policy, x, action):
     """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS)."""
     log_std = policy["log_std"]
-    z = (action - mlp(policy["layers"], x)) * jnp.exp(-log_std)
-    return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
+    return gaussian_log_density((action - mlp(policy["layers"], x)) * jnp.exp(-log_std), log_std)
 
 
 def clipped_objective(policy, x, action, old_log_probability, advantage, clip):

@@ -155,7 +155,7 @@ class Trainer:
             x = inputs(seen, walk.lcf)
             noise = jax.random.normal(key, (*x.shape[:-1], 2))
             action = mlp(policy["layers"], x) + jnp.exp(policy["log_std"]) * noise
-            log_probability = -0.5 * jnp.sum(noise**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(policy["log_std"])
+            log_probability = learning.gaussian_log_density(noise, policy["log_std"])
             return x, self._critic_input(x, seen, action, crowd.position), action, log_probability
 
         def one(carry, key):
@@ -163,16 +163,15 @@ class Trainer:
             key_action, key_goal = jax.random.split(key)
             x, critic, action, log_probability = act(crowd, goals, key_action)
             command = to_command(to_velocity(action), crowd.yaw)
-            collided = jnp.zeros(crowd.contact.shape, bool)
             steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
             for _ in range(substeps):
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
-                collided, steps_in_contact = collided | after.contact, steps_in_contact + after.contact
+                steps_in_contact = steps_in_contact + after.contact
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
             arrived = distance <= GOAL_RADIUS
-            reward = individual_reward(before_distance - distance, arrived, collided, config.reward)
+            reward = individual_reward(before_distance - distance, arrived, steps_in_contact > 0, config.reward)
             shared = neighborhood_mean(reward[..., None], neighbors(after.position))[..., 0]
             goals = jnp.where(arrived[..., None], self._new_goals(key_goal, after.position), goals)
             step = {
