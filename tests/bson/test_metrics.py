@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bson.metrics import Episode, measure, summarise
+from bson.metrics import Episode, measure, spread_by_score, summarise
 
 
 def episode(start=20.0, final=0.0, travelled=20.0, duration=10.0, collisions=0, nearest=(3.0, 2.0), **more):
@@ -80,3 +80,10 @@ def test_metrics_without_people_leave_out_the_distance_to_them():
     summary = summarise([measure(episode(nearest=(np.inf, np.inf)))])
     assert "nearest_person" not in summary
     assert summary["personal_space"]["mean"] == 0.0
+
+
+def test_spread_goes_evenly_from_the_worst_score_to_the_best():
+    episodes = [episode(collisions=c) for c in (3, 0, 9, 5, 1)]
+    assert [e.collisions for e in spread_by_score(episodes, 3)] == [9, 3, 0]
+    assert [e.collisions for e in spread_by_score(episodes, 99)] == [9, 5, 3, 1, 0]
+    assert spread_by_score(episodes[:1], 2) == episodes[:1]
