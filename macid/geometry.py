@@ -22,12 +22,27 @@ def wrap_angle(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
+def heading(yaw):
+    """The unit vector (..., 2) ahead of bodies at `yaw` (...) [rad]."""
+    xp = _namespace(yaw)
+    return xp.stack([xp.cos(yaw), xp.sin(yaw)], axis=-1)
+
+
+def from_frame(vector, ahead):
+    """`vector` (..., 2) of a frame whose x axis is the unit vector `ahead` (..., 2): seen from outside, (..., 2)."""
+    x, y, c, s = vector[..., 0], vector[..., 1], ahead[..., 0], ahead[..., 1]
+    return _namespace(vector).stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def to_frame(vector, ahead):
+    """`vector` (..., 2) seen in a frame whose x axis is the unit vector `ahead` (..., 2): (..., 2)."""
+    x, y, c, s = vector[..., 0], vector[..., 1], ahead[..., 0], ahead[..., 1]
+    return _namespace(vector).stack([c * x + s * y, c * y - s * x], axis=-1)
+
+
 def rotate(vector, angle):
     """`vector` (..., 2) turned by `angle` (...) [rad], counter-clockwise. Body frame to world frame for a body's yaw."""
-    xp = _namespace(vector)
-    c, s = xp.cos(angle), xp.sin(angle)
-    x, y = vector[..., 0], vector[..., 1]
-    return xp.stack([c * x - s * y, s * x + c * y], axis=-1)
+    return from_frame(vector, heading(angle))
 
 
 def yaw_quaternion(yaw):
@@ -39,7 +54,7 @@ def yaw_quaternion(yaw):
 
 def to_body(vector, yaw):
     """World-frame `vector` (..., 2) seen from bodies at `yaw` (...) [rad]: (..., 2), body frame."""
-    return rotate(vector, -yaw)
+    return to_frame(vector, heading(yaw))
 
 
 def norm(vector):
@@ -58,14 +73,6 @@ def point_box_distance(point, boxes):
     xp = _namespace(point)
     outside = xp.abs(in_box_frame(point, boxes)) - boxes[..., 2:4]
     return norm(xp.maximum(outside, xp.zeros_like(outside)))
-
-
-def closest_on_box(point, boxes):
-    """The point of each of `boxes` (..., B, 5) closest to `point` (..., 2): (..., B, 2), world frame [m]."""
-    xp = _namespace(point)
-    half = boxes[..., 2:4]
-    inside = xp.minimum(xp.maximum(in_box_frame(point, boxes), -half), half)
-    return rotate(inside, boxes[..., 4]) + boxes[..., :2]
 
 
 def box_corners(boxes):
@@ -119,6 +126,22 @@ def ray_disc_distance(origin, direction, centre, radius):
     return xp.where((discriminant >= 0) & (distance > 0), distance, xp.full_like(distance, NO_HIT))
 
 
+def first_disc(origin, direction, centre, radius):
+    """How far rays run before they meet a disc (..., R) [m], infinity for a miss, and which disc: its index (..., R).
+
+    Arguments as in `ray_disc_distance`. The distance falls short by at most N parts in 2^23 (float32).
+    """
+    xp = _namespace(origin)
+    distance = ray_disc_distance(origin, direction, centre, radius)
+    # A distance's last bits give way to the disc's index, so that one minimum finds both (numbers above zero order as
+    # their bits do): XLA makes one fused loop of it, and several slow passes of an argmin or of a mask.
+    integers = {2: xp.int16, 4: xp.int32, 8: xp.int64}[distance.dtype.itemsize]
+    mask = (1 << (centre.shape[-2] - 1).bit_length()) - 1
+    numbered = (distance.view(integers) & ~mask) | xp.arange(centre.shape[-2], dtype=integers)
+    least = xp.min(numbered, axis=-1)
+    return (least & ~mask).view(distance.dtype), least & mask
+
+
 def ray_box_distance(origin, direction, boxes):
     """How far rays run before they meet boxes, by the slab method.
 
@@ -131,9 +154,8 @@ def ray_box_distance(origin, direction, boxes):
     local_direction = to_body(direction[..., :, None, :], yaw)  # (..., R, B, 2)
     tiny = 1e-9
     safe = xp.where(xp.abs(local_direction) < tiny, xp.full_like(local_direction, tiny), local_direction)
-    half = boxes[..., None, :, 2:4]
-    first, second = (-half - local_origin) / safe, (half - local_origin) / safe
-    near, far = xp.minimum(first, second), xp.maximum(first, second)
+    middle, reach = -local_origin / safe, boxes[..., None, :, 2:4] / xp.abs(safe)
+    near, far = middle - reach, middle + reach
     enter = xp.maximum(near[..., 0], near[..., 1])
     leave = xp.minimum(far[..., 0], far[..., 1])
     return xp.where((enter <= leave) & (enter > 0), enter, xp.full_like(enter, NO_HIT))

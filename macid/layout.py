@@ -20,6 +20,7 @@ GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
 _TRIES = 300
 
 LEVELS = (1, 2, 3, 4)
+VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: settings are chosen on these
 
 
 class NoFreeSpace(ValueError):
@@ -69,13 +70,6 @@ def outer_walls(size):
     return np.array(
         [[far, 0, thin, half, 0], [-far, 0, thin, half, 0], [0, far, half, thin, 0], [0, -far, half, thin, 0]]
     )
-
-
-def pad_boxes(boxes, number):
-    """`boxes` (B, 5) with rows far off the map added up to `number`: (number, 5), for worlds that share one model."""
-    spare = np.tile([0.0, 0.0, 0.5, 0.5, 0.0], (number - len(boxes), 1))
-    spare[:, 0] = -FAR_AWAY - 2.0 * np.arange(len(spare))
-    return np.concatenate([boxes, spare])
 
 
 def person_count(density, size):
@@ -162,10 +156,11 @@ def load_layout(file):
 
 
 def load_level(level):
-    """One of the paper's four levels, frozen in assets/layouts: 25, 50, 100 or 200 people on 50 x 50 m."""
-    if level not in LEVELS:
-        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, LEVELS))}.")
-    return load_layout(assets.path("layouts", f"lv{level}.toml"))
+    """One of the paper's four levels, 1 to 4, frozen in assets/layouts: 25, 50, 100 or 200 people on 50 x 50 m; or one of
+    as many people on a map for validation, "v1" to "v4". Raises ValueError, naming the valid ones."""
+    if level not in LEVELS + VALIDATION_LEVELS:
+        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, LEVELS + VALIDATION_LEVELS))}.")
+    return load_layout(assets.path("layouts", f"lv{level}.toml" if level in LEVELS else f"{level}.toml"))
 
 
 def clearance(points, boxes):

@@ -186,12 +186,3 @@ def test_the_outer_walls_leave_exactly_the_map():
     assert len(OPEN.boxes) == 4
     corners = np.array([[x, y] for x in (-10.1, 10.1) for y in (-10.1, 10.1)])
     assert (layouts.clearance(corners, OPEN.boxes) == 0).all()
-
-
-def test_padding_stands_far_away_and_apart():
-    boxes = layouts.pad_boxes(OPEN.boxes, 9)
-    np.testing.assert_array_equal(boxes[:4], OPEN.boxes)
-    assert boxes.shape == (9, 5)
-    spare = boxes[4:, :2]
-    assert abs(spare).max(axis=-1).min() >= FAR_AWAY
-    assert least_distance(spare, spare) >= 2.0 and (boxes[4:, 2:4] > 0).all()

@@ -6,7 +6,7 @@ import pytest
 
 from macid import scene
 from macid.geometry import rotate
-from macid.layout import Layout, pad_boxes, random_layout, sample_people
+from macid.layout import Layout, random_layout, sample_people
 from macid.observation import COLUMNS, RAY_RANGE, RAYS, SIZE, cast_rays, observe
 from macid.state import HEIGHT, RADIUS, CrowdState, parking_place
 
@@ -121,7 +121,7 @@ def test_a_mirrored_scene_mirrors_rays_and_flips_signs():
     np.testing.assert_allclose(other["rays"], one["rays"][:, -np.arange(RAYS)] * [1.0, 1.0, -1.0], atol=1e-7)
 
 
-def test_the_parked_and_padding_change_nothing():
+def test_the_parked_and_far_boxes_change_nothing():
     state, boxes, goals, _ = crowd_scene(3)
     parked = parking_place(np.arange(20, 26))
     zeros = np.zeros(6)
@@ -131,7 +131,8 @@ def test_the_parked_and_padding_change_nothing():
             for pair in zip(state, (parked, zeros, np.ones((6, 2)), zeros, zeros.astype(bool)), strict=True)
         )
     )
-    observation = observe(more, pad_boxes(boxes, len(boxes) + 5), np.concatenate([goals, parked]))
+    far = np.tile([-900.0, 0.0, 0.5, 0.5, 0.0], (5, 1))
+    observation = observe(more, np.concatenate([boxes, far]), np.concatenate([goals, parked]))
     np.testing.assert_array_equal(observation[:20], observe(state, boxes, goals))
 
 
@@ -172,5 +173,5 @@ def test_rays_agree_with_mj_ray_in_a_crowd(seed):
             hit = state.velocity[int(name[6:].split("/")[0])] if name.startswith("person") else np.zeros(2)
             people += name.startswith("person") and oracle < RAY_RANGE
             expected = hit - state.velocity[k] if oracle < RAY_RANGE else np.zeros(2)
-            np.testing.assert_allclose(relative[k, r], expected, atol=1e-12)
+            np.testing.assert_allclose(rotate(relative[k, r], state.yaw[k]), expected, atol=1e-12)
     assert people > 20
