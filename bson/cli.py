@@ -65,10 +65,11 @@ def _films(episodes, config, folder, number, name):
     from bson.metrics import sns, spread_by_score
     from bson.tracks import make_track
     from bson.world import build_model
+    from macid import drawing
 
     if number == 0:
         return [], "No films were asked for (--videos 0)."
-    if problem := film.gl_problem():
+    if problem := drawing.gl_problem():
         print(f"No video: {problem}", file=sys.stderr)
         return [], f"No video: {problem}"
     output_folder(folder)
@@ -128,6 +129,7 @@ def _render(args):
     from bson.task import TaskConfig
     from bson.tracks import make_track
     from bson.world import build_model
+    from macid import drawing
 
     config = TaskConfig().replace(**_overrides(args.set))
     make_agent = load_agent(args.agent)
@@ -138,7 +140,7 @@ def _render(args):
         raise UsageError(f"A seed must be at least 0, not {args.seed}.")
     if path.is_dir():
         raise UsageError(f"--out '{path}' is a folder. Name a file.")
-    if problem := film.gl_problem():
+    if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
     output_folder(path.parent)

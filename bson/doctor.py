@@ -52,7 +52,7 @@ def _jax():
 
 
 def _gl():
-    from bson.film import gl_problem
+    from macid.drawing import gl_problem
 
     if problem := gl_problem():
         raise RuntimeError(problem)

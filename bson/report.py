@@ -95,7 +95,7 @@ def plot_trajectories(episodes, most=9):
     from matplotlib.patches import Circle, Rectangle
     from matplotlib.transforms import Affine2D
 
-    from bson.film import lcf_colour
+    from macid.drawing import lcf_colour
 
     chosen = spread_by_score(episodes, most)
     columns = min(3, len(chosen))

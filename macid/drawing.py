@@ -1,0 +1,466 @@
+"""Pictures and films, drawn offscreen with MuJoCo and OpenCV: what films of crowds and of robots have in common.
+
+A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m, height 1.7 m), coloured by its LCF. Pictures
+are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is missing.
+"""
+
+import atexit
+import contextlib
+import copy
+import math
+import os
+import pathlib
+import platform
+import tempfile
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import numpy as np
+
+from macid.files import write_bytes
+from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
+
+LCF_RANGE = (-2.0, 2.0)  # of the colour scale
+LCF_STOPS = np.array(  # RGB at equal steps of the LCF: ColorBrewer's RdYlBu, safe for the colour-blind
+    [[0.78, 0.07, 0.09], [0.98, 0.62, 0.34], [0.98, 0.95, 0.68], [0.52, 0.76, 0.90], [0.10, 0.38, 0.72]]
+)
+
+GOAL_RGB = (0.05, 0.62, 0.32)
+INK, MUTED, PAPER, PANEL = (38, 43, 51), (112, 119, 130), (255, 255, 255), (244, 245, 247)
+NEAR, FAR = 0.05, 300.0  # of what is drawn [m]
+FIGURE_PARTS = 4  # shapes in a person's figure
+
+
+_open_stages = weakref.WeakSet()  # to be closed before the graphics library goes
+
+
+class Unavailable(RuntimeError):
+    """This machine can't draw; the message says why and how to mend it."""
+
+
+def gl_problem():
+    """Why nothing can be drawn here and how to mend it, in one line; None where all is well."""
+    try:
+        context = gl_context(16, 16)
+    except Unavailable as error:
+        return str(error)
+    try:
+        mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_100).free()
+    except mujoco.FatalError as error:
+        return f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl."
+    finally:
+        context.free()
+    return None
+
+
+def gl_context(width, height):
+    """An OpenGL context: EGL on Linux (no display needed) unless MUJOCO_GL says otherwise. Raises Unavailable.
+
+    MuJoCo itself picks GLFW, which needs a display, when MUJOCO_GL is unset, and does so as soon as it is imported.
+    """
+    chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if chosen in ("disable", "disabled", "off", "false", "0"):
+        raise Unavailable(f"Drawing is turned off by MUJOCO_GL={chosen}: unset it, or set MUJOCO_GL=egl.")
+    try:
+        if platform.system() == "Linux" and chosen in ("", "egl"):
+            from mujoco.egl import GLContext
+        else:
+            from mujoco.rendering.classic.gl_context import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, GLError, RuntimeError
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise Unavailable(
+            f"OpenGL can't draw here ({reason}). Install EGL (on Debian and Ubuntu: apt-get install libegl1 "
+            "libgl1-mesa-dri) and set MUJOCO_GL=egl."
+        ) from None
+    return context
+
+
+def _close_all():
+    for stage in list(_open_stages):
+        stage.close()
+
+
+def lcf_colour(lcf):
+    """RGB (..., 3) in [0, 1] of `lcf` (...): red if adversarial (-2), pale yellow at 0, blue if cooperative (2)."""
+    stops = np.linspace(*LCF_RANGE, len(LCF_STOPS))
+    return np.stack([np.interp(lcf, stops, channel) for channel in LCF_STOPS.T], axis=-1)
+
+
+def rgb255(rgb):
+    """A colour of [0, 1] as OpenCV has it: integers to 255."""
+    return tuple(round(255 * float(channel)) for channel in rgb)
+
+
+def pace(speed):
+    """The playback's speed in words."""
+    return "real time" if abs(speed - 1) < 0.01 else f"played {speed:.3g} times as fast"
+
+
+class Stage:
+    """A page with views of one model. Close it, or use it in a `with`; raises Unavailable without OpenGL.
+
+    model: as it looks, its people invisible behind the figures that are added; it is copied. size: of the page, width
+    and height; views: rectangles x, y, width, height on it; both in pixels at scale 1. samples: of anti-aliasing,
+    0 or 4; on a CPU, 4 takes twice the time.
+    """
+
+    def __init__(self, model, size, views, scale=1.0, samples=0):
+        self.scale = scale
+        self.size = tuple(2 * round(side * scale / 2) for side in size)  #: width, height [pixels]
+        self._gl = self._context = None
+        model = self.model = copy.copy(model)
+        model.vis.global_.offwidth, model.vis.global_.offheight = np.max(
+            [self.rect(view)[2:] for view in views], axis=0
+        )
+        quality = model.vis.quality
+        quality.offsamples, quality.numquads = samples, 1
+        quality.shadowsize, quality.numslices, quality.numstacks = (4096, 32, 16) if samples else (2048, 18, 8)
+        names = [model.body(index).name for index in range(model.nbody)]
+        for index in range(sum(name.startswith("person") for name in names)):
+            model.geom(f"person{index}/cylinder").rgba[3] = 0.0  # a figure stands for it
+        self.boxes = [model.body(name).id for name in names if name.startswith("box")]  #: bodies of walls and obstacles
+        for index in range(len(self.boxes)):  # coplanar tops would be lit twice where walls meet
+            model.geom(f"box{index}").size[2] -= 0.002 * (index % 7)
+        self._floor = model.geom("floor").id  # 0: the first in the scene, too
+        self.data = mujoco.MjData(model)
+        self._gl = gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
+        if not _open_stages:  # after EGL's own clean-up was registered, so that this one comes first
+            atexit.unregister(_close_all)
+            atexit.register(_close_all)
+        _open_stages.add(self)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self.scene = mujoco.MjvScene(model, model.ngeom + 4000)
+        self._option = mujoco.MjvOption()
+        self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+        self._free = mujoco.MjvCamera()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def __del__(self):
+        self.close()
+
+    def close(self):
+        """Frees the graphics resources."""
+        gl, context = getattr(self, "_gl", None), getattr(self, "_context", None)
+        self._gl = self._context = None
+        if gl is not None:
+            if context is not None:
+                gl.make_current()
+                context.free()
+            gl.free()
+
+    def rect(self, view):
+        """A rectangle of the page at scale 1, in pixels."""
+        return tuple(round(value * self.scale) for value in view)
+
+    def pose(self):
+        """Puts the bodies where `data` has their coordinates, and the model alone into the scene."""
+        if self._gl is None:
+            raise ValueError("This film is closed.")
+        self._gl.make_current()
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        mujoco.mjv_updateScene(
+            self.model, self.data, self._option, None, self._free, mujoco.mjtCatBit.mjCAT_ALL, self.scene
+        )
+        self.scene.geoms[self._floor].category = mujoco.mjtCatBit.mjCAT_DECOR
+
+    def page(self):
+        """An empty page."""
+        return np.full((self.size[1], self.size[0], 3), PAPER, np.uint8)
+
+    def add(self, kind, size, place, rgba, yaw=0.0, glow=0.0, shadow=True):
+        """Adds a shape to the scene: `size` as MuJoCo's geoms have it [m], turned by `yaw` about the vertical."""
+        if self.scene.ngeom >= self.scene.maxgeom:
+            return
+        c, s = math.cos(yaw), math.sin(yaw)
+        geom = self.scene.geoms[self.scene.ngeom]
+        mujoco.mjv_initGeom(
+            geom,
+            kind,
+            np.array(size, float),
+            np.array(place, float),
+            np.array([c, -s, 0, s, c, 0, 0, 0, 1.0]),
+            np.array(rgba, np.float32),
+        )
+        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC if shadow else mujoco.mjtCatBit.mjCAT_DECOR
+        geom.emission, geom.specular, geom.shininess = glow, 0.15, 0.2
+        self.scene.ngeom += 1
+
+    def add_people(self, poses, colours):
+        """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders: body and head in
+        `colours` (K, 3), and a visor where they face."""
+        box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
+        tube = mujoco.mjtGeom.mjGEOM_CYLINDER
+        waist, head = 1.16, 0.19
+        for (x, y, yaw), rgb in zip(poses, colours, strict=True):
+            c, s = math.cos(yaw), math.sin(yaw)
+            self.add(tube, [RADIUS, waist / 2, 0], [x, y, waist / 2], [*rgb, 1.0], glow=0.15)
+            self.add(ball, [RADIUS, RADIUS, 0.15], [x, y, waist], [*rgb, 1.0], glow=0.15)
+            self.add(ball, [head, head, 0.22], [x, y, HEIGHT - 0.22], [*(0.85 * rgb), 1.0], glow=0.15)
+            self.add(box, [0.10, 0.13, 0.045], [x + 0.13 * c, y + 0.13 * s, HEIGHT - 0.2], [0.1, 0.1, 0.12, 1.0], yaw)
+
+    def add_goal(self, goal):
+        """Adds a disc as large as `goal` (2,) [m] is, a translucent column, and a flag above everybody's head."""
+        tube = mujoco.mjtGeom.mjGEOM_CYLINDER
+        x, y = goal
+        self.add(tube, [0.035, 0.9, 0], [x, y, 2.1], [*GOAL_RGB, 1.0], glow=0.4)
+        self.add(mujoco.mjtGeom.mjGEOM_BOX, [0.34, 0.012, 0.22], [x + 0.34, y, 2.78], [*GOAL_RGB, 1.0], glow=0.4)
+        self.add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*GOAL_RGB, 0.75], glow=0.4, shadow=False)
+        self.add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*GOAL_RGB, 0.22], glow=0.5, shadow=False)
+
+    def look(self, place, forward, up, half_height, near=NEAR, far=FAR, orthographic=False):
+        """Aims the camera. half_height: of the picture [m], at the distance `near` unless orthographic."""
+        for camera in self.scene.camera:
+            camera.pos, camera.forward, camera.up = place, forward, up
+            camera.frustum_center, camera.frustum_width = 0.0, 0.0
+            camera.frustum_bottom, camera.frustum_top = -half_height, half_height
+            camera.frustum_near, camera.frustum_far = near, far
+            camera.orthographic = orthographic
+        for light in list(self.scene.lights)[: self.scene.nlight]:
+            if light.headlight:
+                light.pos, light.dir = place, forward
+
+    def look_down(self, centre, span):
+        """Aims the camera at a map, north up: a square of side `span` [m] around `centre` (2,) [m]."""
+        self.look([*centre, 60.0], [0, 0, -1], [0, 1, 0], span / 2, orthographic=True)
+
+    def render(self, page, view, centre=None, reach=None):
+        """Draws into the page's rectangle `view`, with shadows up to `reach` [m] around `centre` where given."""
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = centre is not None
+        if centre is not None:
+            self._context.shadowClip = reach
+            for light in list(self.scene.lights)[: self.scene.nlight]:
+                if light.castshadow:
+                    light.pos = np.array([*centre, 0.0]) - 12.0 * np.array(light.dir)
+        left, top, width, height = self.rect(view)
+        rect = mujoco.MjrRect(0, 0, width, height)
+        pixels = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_render(rect, self.scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, rect, self._context)
+        page[top : top + height, left : left + width] = pixels[::-1]
+
+    def on_map(self, view, centre, span, place):
+        """Where `view`, a map of `look_down`, shows `place` (..., 2) [m]: (..., 2) pixels x, y of the page, continuous."""
+        left, top, width, height = self.rect(view)
+        offset = (np.asarray(place) - centre) / span
+        return np.stack([left + width * (0.5 + offset[..., 0]), top + height * (0.5 - offset[..., 1])], axis=-1)
+
+    def write_label(self, page, view, text):
+        """Writes what a view is into its corner."""
+        left, top, _, _ = self.rect(view)
+        unit = self.scale
+        width, height = measure(text, 0.44 * unit)
+        right, bottom = round(left + width + 16 * unit), round(top + height + 14 * unit)
+        page[top:bottom, left:right] = (0.35 * page[top:bottom, left:right] + 0.65 * np.array(INK)).astype(np.uint8)
+        write(page, text, (left + 8 * unit, top + height + 6.5 * unit), 0.44 * unit, PAPER)
+
+    def write_header(self, page, title, notes):
+        """Writes `title` to the left, cut where it is too long, and `notes` to the right."""
+        unit = self.scale
+        base = 30 * unit
+        notes = "   |   ".join(notes)
+        width, _ = measure(notes, 0.5 * unit)
+        right = self.size[0] - 12 * unit
+        write(page, notes, (right - width, base), 0.5 * unit, MUTED)
+        room = right - width - 40 * unit
+        while len(title) > 1 and measure(title, 0.66 * unit, bold=True)[0] > room:
+            title = title.rstrip(".")[:-1] + "..." if len(title) > 4 else title[:-1]
+        write(page, title, (12 * unit, base), 0.66 * unit, INK, bold=True)
+
+    def write_reading(self, page, place, name, value):
+        """Writes a reading, its name above its value, at `place` x, y."""
+        x, y = place
+        write(page, name, (x, y), 0.4 * self.scale, MUTED)
+        write(page, value, (x, y + 21 * self.scale), 0.56 * self.scale, INK)
+
+    def draw_lcf_scale(self, page, left, right, top, framed=None):
+        """Draws the colours of LCFs as a bar between the pixels `left` and `right`, its title above, its ticks below.
+
+        framed: a range of LCFs (least, most) to put a frame around.
+        """
+        unit = self.scale
+        x0, x1, y0, y1 = round(left), round(right), round(top), round(top + 14 * unit)
+        write(page, "Pedestrians by LCF", (x0, y0 - 8 * unit), 0.4 * unit, MUTED)
+        bar = lcf_colour(np.linspace(*LCF_RANGE, x1 - x0))
+        page[y0:y1, x0:x1] = np.round(255 * bar)
+        for value, text in ((-2, "-2 adversarial"), (-1, "-1"), (0, "0"), (1, "1"), (2, "cooperative 2")):
+            x = x0 + (value + 2) / 4 * (x1 - x0 - 1)
+            page[y1 : round(y1 + 4 * unit), round(x) : round(x + max(1, unit))] = INK
+            shift = {-2: 0.0, 2: 1.0}.get(value, 0.5) * measure(text, 0.4 * unit)[0]
+            write(page, text, (x - shift, y1 + 18 * unit), 0.4 * unit, INK)
+        if framed is not None:
+            low, high = x0 + (np.clip(framed, *LCF_RANGE) + 2) / 4 * (x1 - x0 - 1)
+            line(page, [[low, y0], [high, y0], [high, y1], [low, y1]], INK, 1.6 * unit, closed=True)
+
+    def write_keys(self, page, left, base, keys):
+        """Writes the meaning of marks in a row from the pixel `left` on: (text, RGB, "line", "dot" or "ring") each."""
+        unit = self.scale
+        x, y = left, base - 4 * unit
+        for text, rgb, mark in keys:
+            if mark == "line":
+                line(page, [[x, y], [x + 20 * unit, y]], rgb255(rgb), 3 * unit)
+                x += 27 * unit
+            elif mark == "dot":
+                disc(page, (x + 3 * unit, y), 3 * unit, rgb255(rgb))
+                x += 12 * unit
+            else:
+                ring(page, (x + 5 * unit, y), 5 * unit, rgb255(rgb), 2 * unit)
+                x += 17 * unit
+            write(page, text, (x, base), 0.4 * unit, INK)
+            x += measure(text, 0.4 * unit)[0] + 18 * unit
+
+    def draw_metres(self, canvas, metre, length=5):
+        """Draws the scale of a map, `length` [m] long, into the lower left corner of its picture; metre: in pixels."""
+        unit, height = self.scale, canvas.shape[0]
+        x0, y0, x1 = 14 * unit, height - 14 * unit, 14 * unit + length * metre
+        corners = [[x0, y0 - 5 * unit], [x0, y0], [x1, y0], [x1, y0 - 5 * unit]]
+        for colour, thickness in ((PAPER, 4.0), (INK, 1.6)):
+            line(canvas, corners, colour, thickness * unit)
+        write(canvas, f"{length} m", (x0 + 5 * unit, y0 - 6 * unit), 0.42 * unit, INK, halo=True)
+
+
+def _thick(width):
+    return max(1, round(width))
+
+
+def _font(bold):
+    import cv2
+
+    return cv2.FONT_HERSHEY_DUPLEX if bold else cv2.FONT_HERSHEY_SIMPLEX
+
+
+def measure(text, size, bold=False):
+    """Width and height [pixels] of `text`."""
+    import cv2
+
+    return cv2.getTextSize(text, _font(bold), size, _thick(size))[0]
+
+
+def write(image, text, place, size, colour, bold=False, halo=False):
+    """Writes `text` with its baseline's left end at `place`."""
+    import cv2
+
+    where = [round(float(value)) for value in place]
+    if halo:
+        for offset in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            shifted = [where[0] + offset[0], where[1] + offset[1]]
+            cv2.putText(image, text, shifted, _font(bold), size, PAPER, _thick(size), cv2.LINE_AA)
+    cv2.putText(image, text, where, _font(bold), size, colour, _thick(size), cv2.LINE_AA)
+
+
+def _sixteenths(points):
+    """Pixels as OpenCV's drawing takes them with shift=4."""
+    return np.round(np.asarray(points) * 16).astype(np.int32)
+
+
+def line(image, points, colour, width, closed=False):
+    """Draws a line through `points` (N, 2), in pixels."""
+    import cv2
+
+    cv2.polylines(image, [_sixteenths(points)], closed, colour, _thick(width), cv2.LINE_AA, 4)
+
+
+def polygon(image, points, colour):
+    """Fills the polygon with the corners `points` (N, 2), in pixels."""
+    import cv2
+
+    cv2.fillPoly(image, [_sixteenths(points)], colour, cv2.LINE_AA, 4)
+
+
+def disc(image, place, radius, colour):
+    """Fills a circle around `place` x, y; in pixels."""
+    import cv2
+
+    cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, -1, cv2.LINE_AA, 4)
+
+
+def ring(image, place, radius, colour, width):
+    """Draws a circle around `place` x, y; in pixels."""
+    import cv2
+
+    cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, _thick(width), cv2.LINE_AA, 4)
+
+
+def write_png(path, picture):
+    """Saves `picture` as the PNG `path`, all or nothing; returns the path."""
+    import cv2
+
+    write_bytes(path, cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+    return pathlib.Path(path)
+
+
+def write_webm(path, pictures, number, fps, progress=None):
+    """Writes the `number` pictures of the generator `pictures`, all of one size, as the VP8 video `path` (.webm), which
+    browsers play; returns the path.
+
+    progress(done, number) is called after each frame. The generator is closed in the end.
+    Raises OSError where `path` can't be written. All or nothing: no half file is left.
+    """
+    import cv2
+
+    path = pathlib.Path(path)
+    if path.suffix.lower() != ".webm":
+        raise ValueError(f"A film is a .webm file, not '{path.name}'.")
+    temporary = _temporary(path)
+    writer = cv2.VideoWriter()
+    try:
+        with contextlib.closing(pictures), ThreadPoolExecutor(1) as encoder:
+            try:
+                written = None
+                for done, picture in enumerate(pictures, start=1):
+                    frame = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+                    if written is None:
+                        with _silent_stderr():  # of FFmpeg's remark that WebM has no such tag: it needs none
+                            writer.open(temporary, cv2.VideoWriter_fourcc(*"VP80"), float(fps), frame.shape[1::-1])
+                        if not writer.isOpened():
+                            raise OSError(f"OpenCV can't write VP8 video to '{path}'.")
+                    else:
+                        written.result()
+                    written = encoder.submit(writer.write, frame)  # while the next picture is drawn
+                    if progress is not None:
+                        progress(done, number)
+            finally:
+                encoder.shutdown()
+                writer.release()
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+    return path
+
+
+@contextlib.contextmanager
+def _silent_stderr():
+    """Drops what C code prints on stderr."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _temporary(path):
+    """An empty file beside `path`, to be renamed. Raises OSError where `path` can't be written."""
+    if path.is_dir():
+        raise IsADirectoryError(f"Can't write the film '{path}': it is a folder.")
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".webm")
+    except OSError as error:
+        raise type(error)(error.errno, f"Can't write the film '{path}': {error.strerror}") from None
+    os.close(handle)
+    return name

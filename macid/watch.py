@@ -1,0 +1,317 @@
+"""Films of a crowd, drawn offscreen: the whole map from above, and what one of its people sees, at eye height.
+
+A person's colour is its LCF. Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL:
+`macid.drawing.gl_problem()` says what is missing.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from macid import drawing, geometry, metrics, scene
+from macid.crowd import Crowd, CrowdConfig
+from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
+from macid.evaluate import level_name, level_seed
+from macid.layout import WALL_THICKNESS, Layout, load_level
+from macid.pedestrians import MODELS, make_controller
+from macid.state import GOAL_RADIUS, RADIUS
+
+FPS = 25
+EYE_HEIGHT = 1.6  # [m]
+_FIELD_OF_VIEW = math.radians(84)  # of the eye, from left to right
+_PITCH = math.radians(-10)
+_TRAIL = 2.0  # [s]
+_TOUCH = 0.2  # for which a contact is shown [s]: one of a single step would flash by
+_CONTACT_RGB, _TRAIL_RGB, _RULE_RGB = (0.84, 0.0, 0.55), (0.55, 0.55, 0.55), (0.61, 0.55, 0.78)
+_FLOOR, _GRID, _OBSTACLE, _WALL = (226, 228, 230), (212, 214, 217), (158, 146, 132), (112, 119, 130)
+_TUBE = mujoco.mjtGeom.mjGEOM_CYLINDER
+
+# The page, at scale 1: x, y, width, height [pixels].
+_SIZE = (1500, 760)
+_MAP, _READINGS = (10, 46, 704, 704), (724, 46, 766, 60)
+_EYE, _LEGEND = (724, 116, 766, 520), (724, 646, 766, 104)
+
+
+class Moment(NamedTuple):
+    """A crowd at one instant."""
+
+    position: np.ndarray  #: (K, 2) [m]; of no meaning for who has left
+    yaw: np.ndarray  #: (K,) [rad]
+    walking: np.ndarray  #: (K,) bool: on the map
+    touching: np.ndarray  #: (K,) bool: in contact now or in the last 0.2 s
+    collisions: np.ndarray  #: (K,) steps of 0.02 s in contact so far
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """One episode of a crowd of K people, T decisions. World frame; metres, seconds, radians."""
+
+    pedestrian: str
+    level: int | str
+    seed: int
+    layout: Layout
+    period: float
+    lcf_range: tuple[float, float]
+    lcf: np.ndarray  # (K,)
+    goals: np.ndarray  # (K, 2)
+    position: np.ndarray  # (T + 1, K, 2)
+    yaw: np.ndarray  # (T + 1, K)
+    walking: np.ndarray  # (T + 1, K) bool: on the map
+    collisions: np.ndarray  # (T + 1, K) steps of 0.02 s in contact so far
+
+    @property
+    def duration(self):
+        """Of the episode [s]."""
+        return (len(self.position) - 1) * self.period
+
+    @property
+    def colours(self):
+        """RGB (K, 3) in [0, 1]: of the LCFs, or one for all where a rule has no use for them."""
+        return np.tile(_RULE_RGB, (len(self.lcf), 1)) if self.pedestrian in MODELS else lcf_colour(self.lcf)
+
+    def at(self, time):
+        """The Moment at `time` [s], people's places interpolated between decisions."""
+        last = len(self.position) - 1
+        exact = min(max(time / self.period, 0.0), last)
+        step = min(int(exact + 1e-6), last)
+        then, share = min(step + 1, last), max(exact - step, 0.0)
+        stays = self.walking[then]  # who leaves has its next place off the map
+        move = np.where(stays[:, None], self.position[then] - self.position[step], 0.0)
+        turn = np.where(stays, geometry.wrap_angle(self.yaw[then] - self.yaw[step]), 0.0)
+        before = max(0, step - max(1, round(_TOUCH / self.period)))
+        return Moment(
+            self.position[step] + share * move,
+            self.yaw[step] + share * turn,
+            self.walking[step],
+            self.walking[step] & (self.collisions[step] > self.collisions[before]),
+            self.collisions[step],
+        )
+
+    def last_step(self, person):
+        """The last of the T + 1 steps at which `person` is on the map."""
+        return int(np.flatnonzero(self.walking[:, person])[-1])
+
+
+def _moment(state, episode):
+    return state.position, state.yaw, episode.walking, episode.collisions
+
+
+def record(pedestrian, level, config=CrowdConfig(), seed=0):
+    """The episode that `macid evaluate --episodes 1` has for the same arguments, as a Recording.
+
+    config's `number` is overridden by the level's.
+    """
+    controller = make_controller(pedestrian, config.period)
+    layout = load_level(level)
+    config = dataclasses.replace(config, number=layout.pedestrians)
+    crowd = Crowd(layout, config)
+    start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
+    end, moments = crowd.rollout(start, controller, record=_moment)
+    last = _moment(crowd.engine.read(end.physics), end)
+    fields = [np.concatenate([each, final[None]])[:, 0] for each, final in zip(moments, last, strict=True)]
+    lcf, goals = np.asarray(start.lcf)[0], np.asarray(start.goals)[0]
+    return Recording(pedestrian, level, seed, layout, config.period, tuple(config.lcf), lcf, goals, *fields)
+
+
+def worth_following(recording, step=0):
+    """Of those on the map at `step`, one whose way from then on is long and near the middle of the crowd: its index."""
+    walking, position = recording.walking[step:], recording.position[step:]
+    counts = np.maximum(walking.sum(axis=1, keepdims=True), 1)
+    middle = (position * walking[..., None]).sum(axis=1) / counts
+    way = (geometry.norm(np.diff(position, axis=0)) * walking[1:]).sum(axis=0)
+    off = (geometry.norm(position - middle[:, None]) * walking).sum(axis=0) / np.maximum(walking.sum(axis=0), 1)
+    return int(np.argmax(np.where(walking[0], way - off, -np.inf)))
+
+
+class Film(drawing.Stage):
+    """Draws a recording. Close it, or use it in a `with`; raises Unavailable without OpenGL.
+
+    follow: whose eyes to look through (default: `worth_following`); when it has left, somebody else's. scale: of the
+    picture, 1 is 1500 x 760. samples: of anti-aliasing, 0 or 4.
+    """
+
+    def __init__(self, recording, follow=None, scale=1.0, samples=0):
+        super().__init__(scene.crowd_spec(recording.layout, 0).compile(), _SIZE, (_MAP, _EYE), scale, samples)
+        self.recording = recording
+        step, self._watched = 0, {}  # from which step on, who
+        while recording.walking[step:].any():
+            chosen = follow if step == 0 and follow is not None else worth_following(recording, step)
+            self._watched[step] = chosen
+            step = recording.last_step(chosen) + 1
+        self._bright = [rgb255(rgb) for rgb in recording.colours]
+        self._faint = [rgb255(rgb) for rgb in 0.7 * recording.colours]
+        self._span = recording.layout.size + 2 * WALL_THICKNESS + 0.4
+        self._ground = self._draw_ground()
+
+    def frame(self, time, speed=None):
+        """The composed picture at `time` [s]. speed: of the playback, for the header."""
+        recording, moment = self.recording, self.recording.at(time)
+        page = self.page()
+        self._draw_map(page, time, moment)
+        self._draw_eye_view(page, time, moment)
+        low, high = recording.lcf_range
+        title = f"{recording.pedestrian} on {level_name(recording.level)}: {len(recording.lcf)} people"
+        if recording.pedestrian not in MODELS:
+            title += f", LCF {low:.3g}" if low == high else f", LCF {low:.3g} to {high:.3g}"
+        notes = [f"seed {recording.seed}"]
+        if speed is not None:
+            notes.append(drawing.pace(speed))
+        self.write_header(page, title, notes)
+        self._panels(page, time, moment)
+        return page
+
+    def map_pixel(self, place):
+        """Where the map shows `place` (..., 2) [m]: (..., 2) pixels x, y of the picture, continuous."""
+        return self.on_map(_MAP, (0.0, 0.0), self._span, place)
+
+    def watched(self, time):
+        """The index of the one whose eyes show the crowd at `time` [s]."""
+        return self._watched[max(step for step in self._watched if step <= time / self.recording.period + 1e-6)]
+
+    def _gaze(self, time):
+        """Place (2,) [m] and heading [rad] of the watched one's eyes; of its last moment on the map if it has left."""
+        recording, person = self.recording, self.watched(time)
+        time = min(time, recording.last_step(person) * recording.period)
+        centre, reach = round(time / recording.period), round(0.8 / recording.period)
+        steps = np.arange(max(0, centre - reach), min(len(recording.yaw), centre + reach + 1))
+        weights = np.exp(-0.5 * ((steps - centre) * recording.period / 0.4) ** 2)  # heads turn more calmly than bodies
+        yaw = recording.yaw[steps, person]
+        return recording.at(time).position[person], math.atan2(weights @ np.sin(yaw), weights @ np.cos(yaw))
+
+    def _draw_eye_view(self, page, time, moment):
+        """What the watched one sees."""
+        recording, person = self.recording, self.watched(time)
+        place, heading = self._gaze(time)
+        self.pose()
+        ahead, left = geometry.heading(heading + np.array([0.0, math.pi / 2]))
+        offset = moment.position - place
+        depth, aside = np.maximum(offset @ ahead, 0.0), np.abs(offset @ left)
+        seen = moment.walking & (offset @ ahead > -1.0) & (aside < depth * math.tan(_FIELD_OF_VIEW / 2) + 2.0)
+        seen[person] = False
+        for x, y in moment.position[seen]:  # in place of shadows, which take as long as all the rest
+            self.add(_TUBE, [1.2 * RADIUS, 0.002, 0], [x, y, 0.003], [0.0, 0.0, 0.0, 0.25], shadow=False)
+        self.add_people(np.column_stack([moment.position, moment.yaw])[seen], recording.colours[seen])
+        if moment.walking[person]:
+            self.add_goal(recording.goals[person])
+        forward = np.array([*(math.cos(_PITCH) * ahead), math.sin(_PITCH)])
+        half_height = NEAR * math.tan(_FIELD_OF_VIEW / 2) * _EYE[3] / _EYE[2]
+        self.look([*place, EYE_HEIGHT], forward, np.cross(forward, [*left, 0.0]), half_height)
+        self.render(page, _EYE)
+        label = f"What person {person} sees"
+        if recording.pedestrian not in MODELS:
+            label += f" (LCF {recording.lcf[person]:.2f})"
+        if not moment.walking[person]:
+            label = "Everybody has arrived"
+        self.write_label(page, _EYE, label)
+
+    def _on_ground(self, place):
+        """`map_pixel`, from the corner of the map's own picture."""
+        return self.map_pixel(place) - self.rect(_MAP)[:2]
+
+    def _draw_ground(self):
+        """The map's picture without people: a grid of 5 m, obstacles, walls."""
+        _, _, width, height = self.rect(_MAP)
+        ground = np.full((height, width, 3), _FLOOR, np.uint8)
+        half = self.recording.layout.size / 2
+        for offset in np.arange(-half, half, 5.0):
+            for ends in ([[offset, -half], [offset, half]], [[-half, offset], [half, offset]]):
+                drawing.line(ground, self._on_ground(ends), _GRID, 1.0)
+        for index, corners in enumerate(self._on_ground(geometry.box_corners(self.recording.layout.boxes))):
+            drawing.polygon(ground, corners, _WALL if index < 4 else _OBSTACLE)
+        self.draw_metres(ground, width / self._span)
+        return ground
+
+    def _draw_map(self, page, time, moment):
+        """People, their trails and goals, and where the watched one looks."""
+        import cv2
+
+        left, top, width, height = self.rect(_MAP)
+        canvas, at = self._ground.copy(), self._on_ground
+        unit, metre, recording = self.scale, width / self._span, self.recording
+        walkers = np.flatnonzero(moment.walking)
+        layer = canvas.copy()
+        place, heading = self._gaze(time)
+        watched = self.watched(time)
+        fan = heading + np.linspace(-0.5, 0.5, 9) * _FIELD_OF_VIEW
+        drawing.polygon(layer, at(np.vstack([place, place + 6.0 * geometry.heading(fan)])), PAPER)
+        cv2.addWeighted(layer, 0.6, canvas, 0.4, 0.0, canvas)
+        layer = canvas.copy()
+        ages = np.linspace(_TRAIL, 0.0, 9)
+        ways = at(np.stack([recording.at(max(0.0, time - age)).position for age in ages], axis=1))
+        for person, goal in zip(walkers, at(recording.goals[walkers]), strict=True):
+            drawing.disc(layer, goal, 2 * unit, self._faint[person])
+            drawing.line(layer, ways[person], self._faint[person], 2 * unit)
+        cv2.addWeighted(layer, 0.55, canvas, 0.45, 0.0, canvas)
+        radius = RADIUS * metre
+        noses = at(moment.position + 0.75 * RADIUS * geometry.heading(moment.yaw))
+        spots = at(moment.position)
+        for person in np.flatnonzero(moment.touching):
+            drawing.disc(canvas, spots[person], radius + 4 * unit, rgb255(_CONTACT_RGB))
+        for person in walkers:
+            drawing.disc(canvas, spots[person], radius, self._bright[person])
+            drawing.ring(canvas, spots[person], radius, INK, unit)
+            drawing.disc(canvas, noses[person], 0.3 * radius, INK)
+        if moment.walking[watched]:
+            for colour, thickness in ((PAPER, 4.0), (INK, 1.6)):
+                drawing.ring(canvas, at(place), radius + 6.5 * unit, colour, thickness * unit)
+            goal = at(recording.goals[watched])
+            drawing.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
+        page[top : top + height, left : left + width] = canvas
+
+    def _panels(self, page, time, moment):
+        """The readings and the legend."""
+        unit, recording = self.scale, self.recording
+        for panel in (_READINGS, _LEGEND):
+            left, top, width, height = self.rect(panel)
+            page[top : top + height, left : left + width] = PANEL
+        left, top, width, _ = self.rect(_READINGS)
+        readings = [
+            ("Time", f"{time:.1f} s"),
+            ("On the map", f"{moment.walking.sum()}"),
+            ("Arrived", f"{100 * (1 - moment.walking.mean()):.1f} %"),
+            ("In contact", f"{moment.touching.sum()}"),
+            ("Collision steps a person (CP)", f"{metrics.collision_penalty(moment.collisions):.1f}"),
+        ]
+        for (name, value), x in zip(readings, (0.0, 0.16, 0.34, 0.51, 0.67), strict=True):
+            self.write_reading(page, (left + 14 * unit + x * width, top + 22 * unit), name, value)
+        left, top, width, _ = self.rect(_LEGEND)
+        x0, x1 = round(left + 14 * unit), round(left + width - 14 * unit)
+        if recording.pedestrian in MODELS:
+            note = f"'{recording.pedestrian}' is a rule without LCFs: everybody has one colour."
+            drawing.write(page, note, (x0, top + 36 * unit), 0.44 * unit, MUTED)
+        else:
+            self.draw_lcf_scale(page, x0, x1, top + 30 * unit, recording.lcf_range)
+        keys = [
+            ("last 2 s", _TRAIL_RGB, "line"),
+            ("goal", _TRAIL_RGB, "dot"),
+            ("in contact", _CONTACT_RGB, "ring"),
+            ("who looks", np.array(INK) / 255, "ring"),
+            ("its goal", GOAL_RGB, "ring"),
+        ]
+        self.write_keys(page, x0, top + 90 * unit, keys)
+
+
+def film(recording, path, speed=1.0, follow=None, scale=0.75, progress=None):
+    """Writes `recording` as the VP8 video `path` (.webm) of 25 frames/s, played `speed` times as fast; returns the path.
+
+    progress(done, total) is called after each frame.
+    Raises Unavailable without OpenGL, OSError where `path` can't be written. All or nothing: no half file is left.
+    """
+    times = np.linspace(0.0, recording.duration, max(2, round(recording.duration * FPS / speed) + 1))
+
+    def pictures():
+        with Film(recording, follow, scale) as camera:
+            for time in times:
+                yield camera.frame(time, speed)
+
+    return drawing.write_webm(path, pictures(), len(times), FPS, progress)
+
+
+def still(recording, path, time=None, follow=None, scale=1.0):
+    """Saves `recording` at `time` [s] (default: the middle) as the PNG `path`; returns the path."""
+    time = recording.duration / 2 if time is None else time
+    with Film(recording, follow, scale, samples=4) as camera:
+        return drawing.write_png(path, camera.frame(time))
