@@ -7,15 +7,19 @@ import sys
 from macid.files import UsageError, output_folder, run_command, write_json
 
 
+def _level(text):
+    return int(text) if text.isdecimal() else text
+
+
 def _evaluate(args):
     from macid.crowd import CrowdConfig
-    from macid.evaluate import evaluate_level, format_table, lcf_bins, table_lcf
-    from macid.layout import LEVELS
+    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf
+    from macid.layout import load_level
     from macid.pedestrians import make_controller
 
     make_controller(args.pedestrian, args.period)  # a wrong name is told before anything runs
-    if unknown := sorted(set(args.levels) - set(LEVELS)):
-        raise UsageError(f"Unknown level {unknown[0]}. Choose among {', '.join(map(str, LEVELS))}.")
+    for level in args.levels:
+        load_level(level)
     if args.episodes < 1:
         raise UsageError(f"--episodes must be at least 1, not {args.episodes}.")
     if args.seed < 0:
@@ -31,13 +35,62 @@ def _evaluate(args):
     output_folder(out.parent)
     rows = []
     for level in args.levels:
-        print(f"{args.pedestrian} on Lv.{level} ...", file=sys.stderr, flush=True)
+        print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
         rows += [
             evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
         ]
     print(format_table(rows))
     write_json(out, rows)
     print(f"Written to {out}")
+    return 0
+
+
+def _watch(args):
+    from tqdm import tqdm
+
+    from macid import drawing, watch
+    from macid.crowd import CrowdConfig
+    from macid.evaluate import level_name, table_lcf
+    from macid.layout import load_level
+    from macid.pedestrians import make_controller
+
+    make_controller(args.pedestrian, args.period)
+    people = load_level(args.level).pedestrians
+    path = pathlib.Path(args.out)
+    if path.suffix not in (".webm", ".png"):
+        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
+    if path.is_dir():
+        raise UsageError(f"--out '{path}' is a folder. Name a file.")
+    if args.seed < 0:
+        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
+    if not 0 < args.seconds <= 600:
+        raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
+    if args.follow is not None and not 0 <= args.follow < people:
+        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {args.follow}.")
+    if not 0.25 <= args.scale <= 2:
+        raise UsageError(f"--scale must be 0.25 to 2, not {args.scale:g}.")
+    if args.at is not None and path.suffix != ".png":
+        raise UsageError("--at is for a picture: let --out end in .png.")
+    if args.at is not None and not 0 <= args.at <= args.seconds:
+        raise UsageError(f"--at must be 0 to {args.seconds:g}, the episode's length in seconds, not {args.at:g}.")
+    lcf = tuple(args.lcf or table_lcf(args.pedestrian))
+    config = CrowdConfig(period=args.period, duration=args.seconds, lcf=lcf)
+    if problem := drawing.gl_problem():
+        raise UsageError(f"No pictures here: {problem}")
+    output_folder(path.parent)
+    print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
+    recording = watch.record(args.pedestrian, args.level, config, args.seed)
+    if path.suffix == ".png":
+        watch.still(recording, path, args.at, args.follow, args.scale)
+    else:
+        with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
+
+            def progress(done, total):
+                bar.total = total
+                bar.update()
+
+            watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+    print(f"Written: {path}")
     return 0
 
 
@@ -48,24 +101,21 @@ def _train(args):
         raise UsageError(f"--seeds must be at least 1, not {args.seeds}.")
     if not args.agent_steps > 0:
         raise UsageError(f"--agent-steps must be above 0, not {args.agent_steps}.")
-    configs = [
-        TrainConfig(
-            method=args.method,
-            level=args.level,
-            seed=seed,
-            engine=args.engine,
-            nworld=args.worlds,
-            period=args.period,
-            agent_steps=int(args.agent_steps),
-            ppo=PRESETS[args.preset],
-        )
-        for seed in range(args.seed, args.seed + args.seeds)
-    ]
-    for config in configs:
-        out = output_folder(pathlib.Path(args.out) / f"{config.method}-{config.seed}")
-        print(f"{config.method}, seed {config.seed}: {out}", flush=True)
-        train(config, out, resume=args.resume, show=lambda line: print(line, flush=True))
-        print(f"Written: {out / 'policy.npz'}, {out / 'policy.json'}, {out / 'curve.csv'}")
+    config = TrainConfig(
+        method=args.method,
+        level=args.level,
+        seed=args.seed,
+        engine=args.engine,
+        nworld=args.worlds,
+        period=args.period,
+        agent_steps=int(args.agent_steps),
+        ppo=PRESETS[args.preset],
+    )
+    out = output_folder(args.out)
+    train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
+    for seed in range(args.seed, args.seed + args.seeds):
+        folder = out / f"{config.name}-{seed}"
+        print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
     return 0
 
 
@@ -97,7 +147,11 @@ def parser():
     )
     evaluate.add_argument("--pedestrian", required=True, help="a rule, a shipped policy, or a policy file (.npz)")
     evaluate.add_argument(
-        "--levels", type=int, nargs="+", default=[1, 2, 3, 4], help="1: 25, 2: 50, 3: 100, 4: 200 people"
+        "--levels",
+        type=_level,
+        nargs="+",
+        default=[1, 2, 3, 4],
+        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation",
     )
     evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
     evaluate.add_argument("--seed", type=int, default=0)
@@ -110,6 +164,24 @@ def parser():
     evaluate.add_argument("--out", default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
 
+    watch = commands.add_parser("watch", help="film a crowd", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    watch.add_argument("--pedestrian", default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
+    watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
+    watch.add_argument(
+        "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
+    )
+    watch.add_argument("--seed", type=int, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
+    watch.add_argument("--seconds", type=float, default=20.0, help="of the crowd's time")
+    watch.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
+    watch.add_argument("--speed", type=int, default=1, choices=[1, 2, 4], help="how many times as fast a film plays")
+    watch.add_argument(
+        "--follow", type=int, default=None, help="whose eyes to look through (default: one with far to go)"
+    )
+    watch.add_argument("--at", type=float, default=None, help="of a .png: the time in seconds (default: halfway)")
+    watch.add_argument("--scale", type=float, default=0.75, help="of the picture: 1 is 1500 x 760")
+    watch.add_argument("--out", default="crowd.webm", help="a .webm film, or a .png picture")
+    watch.set_defaults(run=_watch)
+
     train = commands.add_parser(
         "train", help="train pedestrians by multi-agent PPO", formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -117,7 +189,7 @@ def parser():
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
     train.add_argument("--level", type=int, default=2)
     train.add_argument("--seed", type=int, default=0, help="the first seed")
-    train.add_argument("--seeds", type=int, default=1, help="how many, one after the other")
+    train.add_argument("--seeds", type=int, default=1, help="how many, at once")
     train.add_argument("--worlds", type=int, default=16, help="crowds at once")
     train.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
     train.add_argument("--agent-steps", type=float, default=20e6, help="budget, e.g. 20e6")

@@ -44,6 +44,9 @@ class CrowdConfig:
         return round(self.duration / self.period)
 
 
+STALLED = 0.1  # below this speed a person stands [m/s]
+
+
 class Episode(NamedTuple):
     """Where an episode stands; leading axes (nworld, K)."""
 
@@ -54,6 +57,14 @@ class Episode(NamedTuple):
     collisions: Any  #: int32: steps of 0.02 s in contact, while walking
     distance: Any  #: start to goal [m]
     travelled: Any  #: way walked so far [m]
+    time: Any  #: walked so far [s]
+    sped: Any  #: sum of the changes of speed between decisions, without their sign [m/s]
+    turned: Any  #: the same of the yaw rate [rad/s]
+    stalled: Any  #: time below STALLED [s]
+
+
+def _position(state, episode):
+    return state.position
 
 
 class Crowd:
@@ -84,20 +95,21 @@ class Crowd:
             jnp.ones(shape, bool),
             jnp.zeros(shape, jnp.int32),
             jnp.asarray(np.linalg.norm(towards, axis=-1), jnp.float32),
-            jnp.zeros(shape, jnp.float32),
+            *(jnp.zeros(shape, jnp.float32) for _ in range(5)),
         )
 
     def step(self, episode: Episode, command) -> Episode:
         """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
-        before = self.engine.read(state)
+        first = before = self.engine.read(state)
         for _ in range(self.config.substeps):
             state = self.engine.step(state, command)
             after = self.engine.read(state)
             collisions = collisions + (after.contact & episode.walking)
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
             before = after
+        speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
         away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)
         return episode._replace(
@@ -105,21 +117,26 @@ class Crowd:
             walking=episode.walking & ~arrived,
             collisions=collisions,
             travelled=travelled,
+            time=episode.time + walking * self.config.period,
+            sped=episode.sped + walking * jnp.abs(speed - geometry.norm(first.velocity)),
+            turned=episode.turned + walking * jnp.abs(after.yaw_rate - first.yaw_rate),
+            stalled=episode.stalled + walking * (speed < STALLED) * self.config.period,
         )
 
-    def rollout(self, episode: Episode, controller, steps=None):
-        """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and the positions
-        (steps, nworld, K, 2) [m] before each decision."""
-        return self._rollout(episode, controller, self.config.steps if steps is None else steps)
+    def rollout(self, episode: Episode, controller, steps=None, record=_position):
+        """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and what
+        `record(crowd state, episode)` gives before each decision, stacked; by default the positions
+        (steps, nworld, K, 2) [m]."""
+        return self._rollout(episode, controller, self.config.steps if steps is None else steps, record)
 
-    def _rollout(self, episode, controller, steps):
-        key = (controller, steps)
+    def _rollout(self, episode, controller, steps, record):
+        key = (controller, steps, record)
         if key not in self.__dict__.setdefault("_compiled", {}):
 
             def one(episode, _):
                 state = self.engine.read(episode.physics)
                 command = controller(state, self.boxes, episode.goals, episode.lcf)
-                return self.step(episode, command), state.position
+                return self.step(episode, command), record(state, episode)
 
             self._compiled[key] = jax.jit(lambda episode: jax.lax.scan(one, episode, None, length=steps))
         return self._compiled[key](episode)

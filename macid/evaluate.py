@@ -6,7 +6,7 @@ import numpy as np
 
 from macid import metrics
 from macid.crowd import Crowd, CrowdConfig
-from macid.layout import load_level
+from macid.layout import LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
 
@@ -43,22 +43,27 @@ def lcf_bins(pedestrian):
 
 
 def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), engine="native"):
-    """One model on one level: a dict of Table II's columns and their standard deviation over episodes.
+    """One model on one level: a dict of Table II's columns, of `arrived` [%], and of how people walk: `dv` [m/s a second]
+    and `dw` [rad/s a second], the mean change of speed and of yaw rate between decisions, and `stalled` [%], the share of
+    the time below 0.1 m/s; and their standard deviation over episodes.
 
     config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch.
     """
     layout = load_level(level)
     config = dataclasses.replace(config, number=layout.pedestrians)
     crowd = Crowd(layout, config, nworld=episodes, engine=engine)
-    start = crowd.reset(np.random.default_rng((seed, level)))
+    start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
     end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
     arrived, collisions = ~np.asarray(end.walking), np.asarray(end.collisions)
-    distance, travelled = np.asarray(end.distance), np.asarray(end.travelled)
+    distance, travelled, time = (np.asarray(field) for field in (end.distance, end.travelled, end.time))
     each = {
         "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
         "CP": [metrics.collision_penalty(c) for c in collisions],
         "PE": [metrics.path_efficiency(*row) for row in zip(arrived, distance, travelled, strict=True)],
         "arrived": [100.0 * float(a.mean()) for a in arrived],
+        "dv": [float(changes.sum() / t.sum()) for changes, t in zip(np.asarray(end.sped), time, strict=True)],
+        "dw": [float(changes.sum() / t.sum()) for changes, t in zip(np.asarray(end.turned), time, strict=True)],
+        "stalled": [100.0 * float(s.sum() / t.sum()) for s, t in zip(np.asarray(end.stalled), time, strict=True)],
     }
     curve = [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)]
     return {
@@ -73,6 +78,15 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         **{name: _over_episodes(np.mean, values) for name, values in each.items()},
         **{f"{name}_std": _over_episodes(np.std, values) for name, values in each.items()},
     }
+
+
+def level_name(level):
+    """How a table calls a level."""
+    return f"Lv.{level}" if level in LEVELS else str(level)
+
+
+def level_seed(level):
+    return (level,) if level in LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
 
 
 def _range(pair):
@@ -96,10 +110,12 @@ def format_table(rows):
     lines = [
         f"{'model':<21}{'level':<7}{'people':>6}{'LCF':>15}  "
         f"{'SR10 [%] up':>14}{'CP down':>16}{'PE [%] up':>14}{'arrived [%]':>14}"
+        f"{'|dv| [m/s2]':>14}{'|dw| [rad/s2]':>15}{'stalled [%]':>14}"
     ]
     for row in rows:
         lines.append(
-            f"{row['pedestrian']:<21}Lv.{row['level']:<4}{row['people']:>6}{_range(row['config']['lcf']):>15}  "
+            f"{row['pedestrian']:<21}{level_name(row['level']):<7}{row['people']:>6}{_range(row['config']['lcf']):>15}  "
             f"{cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
+            f"{cell(row, 'dv'):>14}{cell(row, 'dw'):>15}{cell(row, 'stalled'):>14}"
         )
     return "\n".join(lines)

@@ -10,7 +10,7 @@ import tomllib
 import numpy as np
 
 from macid import assets, geometry
-from macid.state import FAR_AWAY, RADIUS
+from macid.state import RADIUS
 
 MAP_SIZE = 50.0  # side of the paper's maps [m]
 MAX_PERSON_DENSITY = 0.08  # persons per m2 at pedestrian density 1: 200 on 50 x 50 m, the paper's Lv.4

@@ -95,14 +95,21 @@ class NativePhysics(_Engine):
     def step(self, state, command, nstep=1):
         """The state after `nstep` physics steps under `command` (nworld, K, 3): world velocity [m/s], yaw rate [rad/s]."""
 
-        def run(qpos, qvel, warmstart, ctrl):
-            self._qpos[:], self._qvel[:], self._warmstart[:], self._ctrl[:] = qpos, qvel, warmstart, ctrl
-            self._batch.step(nstep=nstep)
-            return tuple(np.asarray(field, np.float32) for field in (self._qpos, self._qvel, self._warmstart))
+        def run(*fields):  # (..., nworld, 3 K): under vmap, one batch of worlds after the other
+            after = tuple(np.empty(fields[0].shape, np.float32) for _ in state)
+            for index in np.ndindex(fields[0].shape[:-2]):
+                for bound, field in zip((*bounds, self._ctrl), fields, strict=True):
+                    bound[:] = field[index]
+                self._batch.step(nstep=nstep)
+                for bound, field in zip(bounds, after, strict=True):
+                    field[index] = bound
+            return after
+
+        bounds = self._qpos, self._qvel, self._warmstart
 
         shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in state)
         ctrl = command.reshape(self.nworld, 3 * self.number)
-        return NativeState(*jax.pure_callback(run, shapes, *state, ctrl))
+        return NativeState(*jax.pure_callback(run, shapes, *state, ctrl, vmap_method="broadcast_all"))
 
     def _replace(self, state, **fields):
         return state._replace(**fields)

@@ -1,16 +1,19 @@
-"""Tables I and II and Fig. 2 of the paper from trained policies: evaluates what is missing, and writes them beside the
-paper's figures.
+"""Tables I and II and Fig. 2 of the paper, beside the paper's figures: trains and evaluates what is missing.
 
     tools/reproduce_tables.py --policies assets/policies --out tables
 
-Writes OUT/table1.md, table2.md, figure2.png, figure2.csv; each evaluation is kept in OUT/rows, so that a stopped run goes
-on where it was. A method's figures are the mean over its seeds and their standard deviation.
+Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
+figure2.png and figure2.csv. Policies that are not in the folder are trained to OUT/runs; each evaluation is kept in
+OUT/rows; so a stopped run goes on where it was. A method's figures are the mean over its seeds and their standard
+deviation.
 """
 
 import argparse
+import hashlib
 import json
 import pathlib
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,8 +22,14 @@ from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf
 from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 from macid.layout import LEVELS
 from macid.learning.methods import METHODS
+from macid.learning.train import PRESETS, TrainConfig, train
+from macid.policy import load_policy
+from macid.state import PHYSICS_STEP
 
 COLUMNS = ("SR10", "CP", "PE")
+WALKING = ("arrived", "dv", "dw", "stalled")
+PERIODS = (0.05, 0.1)  # between decisions [s], beside the usual 0.02
+SEEDS, BUDGET = 3, 50e6  # of each training; the paper's budget: 1000 episodes of 1000 steps of 50 people
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
@@ -42,30 +51,50 @@ PAPER_TABLE_1 = (
 )
 
 
-def find_policies(folder):
-    """{method: [policy files]} of a folder, read from the recipes, in the order of their seeds."""
+def wanted(agent_steps):
+    """The trainings, but for their seeds, that the tables are made of: [TrainConfig, ...]."""
+    usual = [TrainConfig(method=method) for method in METHODS]
+    others = [TrainConfig(method="ipo", ppo=PRESETS["paper-ppo"])]
+    others += [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
+    return [replace(config, agent_steps=agent_steps) for config in usual + others]
+
+
+def find_policies(*folders):
+    """{model: {seed: policy file}} of folders, read from the recipes."""
     found = {}
-    for file in sorted(pathlib.Path(folder).rglob("*.npz")):
+    for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
         recipe = json.loads(file.with_suffix(".json").read_text())
-        found.setdefault(recipe["method"], []).append((recipe["seed"], str(file)))
-    return {method: [file for _, file in sorted(found[method])] for method in METHODS if method in found}
+        found.setdefault(recipe["name"], {}).setdefault(recipe["seed"], file)
+    return found
 
 
-def evaluated(rows, name, pedestrian, level, lcf, episodes, period):
-    """A row of `evaluate_level`, from the folder `rows` if it is there."""
-    path = rows / f"{name}-lv{level}-({lcf[0]:.2f},{lcf[1]:.2f}).json"
+def train_missing(configs, found, seeds, folder):
+    """Trains those of `configs` of which `found` lacks one of the first `seeds` seeds."""
+    todo = [replace(c, seed=seed) for c in configs for seed in range(seeds) if seed not in found.get(c.name, {})]
+    for number, config in enumerate(todo, start=1):
+        print(f"training {number} of {len(todo)}: {config.name}, seed {config.seed}", file=sys.stderr, flush=True)
+        train(config, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
+
+
+def evaluated(rows, file, level, lcf, episodes):
+    """A row of `evaluate_level`, from the folder `rows` if it is there; `file`: a policy's or a rule's name."""
+    pedestrian = str(file)
+    period = load_policy(pedestrian).period if pedestrian.endswith(".npz") else PHYSICS_STEP
+    content = pathlib.Path(pedestrian).read_bytes() if pedestrian.endswith(".npz") else pedestrian.encode()
+    name = f"{hashlib.sha256(content).hexdigest()[:12]}-lv{level}-{lcf[0]:.2f}_{lcf[1]:.2f}-{episodes}.json"
+    path = rows / name
     if path.exists():
         return json.loads(path.read_text())
-    print(f"{name} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
+    print(f"{pedestrian} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
     row = evaluate_level(pedestrian, level, episodes, config=CrowdConfig(period=period, lcf=lcf))
     write_json(path, row)
     return row
 
 
-def over_seeds(rows_by_seed):
+def over_seeds(rows_by_seed, columns=COLUMNS):
     """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None of one."""
     values = np.array(
-        [[row[c] if row[c] is not None else np.nan for row in rows for c in COLUMNS] for rows in rows_by_seed]
+        [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
     return np.nanmean(values, axis=0), np.nanstd(values, axis=0) if len(values) > 1 else None
 
@@ -76,9 +105,9 @@ def line(label, mean, std=None):
     return f"| {label} | " + " | ".join(cells) + " |"
 
 
-def header(first):
+def header(first, columns=COLUMNS):
     """The two header lines of a Markdown table."""
-    names = [f"Lv.{level} {column}" for level in LEVELS for column in COLUMNS]
+    names = [f"Lv.{level} {column}" for level in LEVELS for column in columns]
     return [f"| {first} | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
 
 
@@ -110,57 +139,75 @@ def plot(curves, path):
 
 def run(args):
     """Makes the tables; returns the exit code."""
-    policies = find_policies(args.policies)
-    if not policies:
-        raise UsageError(f"No policies in '{args.policies}'. Train some: macid train --method macid --out runs.")
     out = output_folder(args.out)
-    rows = output_folder(out / "rows")
+    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
+    configs = wanted(int(args.agent_steps))
+    if not args.no_train:
+        train_missing(configs, find_policies(args.policies, runs), args.seeds, runs)
+    policies = {
+        name: list(dict(sorted(by_seed.items())).values())
+        for name, by_seed in find_policies(args.policies, runs).items()
+    }
+    if not policies:
+        raise UsageError(f"No policies in '{args.policies}'. Leave --no-train out, or train some: macid train --help.")
+    usual = [config.name for config in configs if config.period == PHYSICS_STEP]
+    unknown = sorted(set(policies) - {config.name for config in configs})
+    models = {rule: [rule] for rule in RULES} | {name: policies[name] for name in usual + unknown if name in policies}
 
-    table, curves = header("model"), {}
-    models = {**{rule: [rule] for rule in RULES}, **policies}
-    for name, files in models.items():
-        seeds = [
-            [
-                evaluated(rows, f"{name}-{index}", file, level, table_lcf(file), args.episodes, args.period)
-                for level in LEVELS
-            ]
-            for index, file in enumerate(files)
+    def tabled(name, files, lcf=None):
+        """Rows of a model: [seed][level]."""
+        return [
+            [evaluated(rows, file, level, lcf or table_lcf(str(file)), args.episodes) for level in LEVELS]
+            for file in files
         ]
-        mean, std = over_seeds(seeds)
-        label = f"{name} ({len(files)} seed{'s' if len(files) > 1 else ''})" if name in policies else name
-        table.append(line(label, mean, std))
+
+    def label(name, files):
+        return f"{name} ({len(files)} seed{'s' if len(files) > 1 else ''})" if name in policies else name
+
+    def write(name, lines):
+        write_bytes(out / name, ("\n".join(lines) + "\n").encode())
+        print("\n".join(["", f"{out / name}:", *lines]))
+
+    table, walking, curves = header("model"), header("model", WALKING), {}
+    for name, files in models.items():
+        seeds = tabled(name, files)
+        table.append(line(label(name, files), *over_seeds(seeds)))
+        walking.append(line(label(name, files), *over_seeds(seeds, WALKING)))
         if name in PAPER_TABLE_2:
             table.append(line("*paper*", PAPER_TABLE_2[name]))
         curves[name] = np.mean([[row["SR"] for row in levels] for levels in seeds], axis=0)
-    write_bytes(out / "table2.md", ("\n".join(table) + "\n").encode())
+    write("table2.md", table)
+    write("walking.md", walking)
     lines = ["model,level,n,SR_n"]
     for name, curve in curves.items():
         for level, values in zip(LEVELS, curve, strict=True):
             lines += [f"{name},{level},{n},{value:.3f}" for n, value in enumerate(values, start=1)]
     write_bytes(out / "figure2.csv", ("\n".join(lines) + "\n").encode())
     plot(curves, out / "figure2.png")
-    print("\n".join(table))
+
+    compared = [c for c in configs if c.method in ("ipo", "copo", "macid") and c.ppo == PRESETS["fast"]]
+    table = header("decides every", COLUMNS)
+    for config in sorted(compared, key=lambda config: config.period):
+        if files := policies.get(config.name):
+            name = f"{config.period:g} s, {label(config.method, files)}"
+            table.append(line(name, *over_seeds(tabled(config.name, files))))
+    write("periods.md", table)
 
     sections = []
-    for method in ("macid", "macid-tri"):
-        if method not in policies or args.skip_table_1:
+    for method in METHODS:
+        if method not in policies or METHODS[method].lcf[0] == METHODS[method].lcf[1] or METHODS[method].meta:
             continue
         table, means = header(f"{method}: LCF"), []
-        for number, lcf in enumerate(lcf_bins(policies[method][0])):
-            seeds = [
-                [evaluated(rows, f"{method}-{i}", file, level, lcf, args.episodes, args.period) for level in LEVELS]
-                for i, file in enumerate(policies[method])
-            ]
-            mean, std = over_seeds(seeds)
+        for number, lcf in enumerate(lcf_bins(str(policies[method][0]))):
+            mean, std = over_seeds(tabled(method, policies[method], lcf))
             means.append(mean)
             table.append(line(f"({lcf[0]:.2f}, {lcf[1]:.2f})", mean, std))
             if method == "macid":
                 table.append(line("*paper*", PAPER_TABLE_1[number]))
         table.append(line("rank correlation with the LCF", [spearman(column) for column in np.array(means).T]))
-        sections.append("\n".join(table))
+        sections += [*table, ""]
     if sections:
-        write_bytes(out / "table1.md", ("\n\n".join(sections) + "\n").encode())
-        print("\n" + "\n\n".join(sections))
+        write("table1.md", sections[:-1])
     return 0
 
 
@@ -168,9 +215,12 @@ def main():
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policies", default="assets/policies", help="folder with .npz and .json files")
-    parser.add_argument("--episodes", type=int, default=5, help="a level and seed")
-    parser.add_argument("--period", type=float, default=0.02, help="between decisions [s]")
-    parser.add_argument("--skip-table-1", action="store_true", help="only Table II and Fig. 2")
+    parser.add_argument(
+        "--seeds", type=int, default=SEEDS, help=f"a model, of those that are trained (default {SEEDS})"
+    )
+    parser.add_argument("--agent-steps", type=float, default=BUDGET, help=f"of those (default {BUDGET:.0e})")
+    parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
+    parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
     parser.add_argument("--out", default="tables")
     args = parser.parse_args()
     return run_command("reproduce_tables", lambda: run(args))

@@ -34,12 +34,15 @@ class Method:
     test_lcf: tuple[float, float] = (0.0, 0.0)  # the range for Table II
     coordination: Callable = linear
     mean_field: bool = False  # critics see the mean of the neighbours' features and actions beside one's own
+    alike: float = 0.0  # share of training crowds whose LCFs all lie in one sixth of the range, elsewhere in each crowd
     meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
 
     @property
     def critics(self):
-        """Names of the value networks; each is of the reward of that name."""
-        return ("individual", "neighborhood", "global") if self.meta else ("individual", "neighborhood")
+        """Names of the value networks; each is of the reward of that name. Without LCFs the second would weigh nothing."""
+        if self.meta:
+            return ("individual", "neighborhood", "global")
+        return ("individual",) if self.lcf == (0.0, 0.0) else ("individual", "neighborhood")
 
 
 METHODS = {

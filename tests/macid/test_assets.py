@@ -5,7 +5,7 @@ from macid import assets
 
 def test_the_root_holds_the_levels():
     assert assets.root().is_dir()
-    assert assets.names("layouts", ".toml") == ["lv1", "lv2", "lv3", "lv4"]
+    assert assets.names("layouts", ".toml") == ["lv1", "lv2", "lv3", "lv4", "v1", "v2", "v3", "v4"]
     assert assets.path("layouts", "lv2.toml").is_file()
 
 

@@ -27,7 +27,8 @@ def test_evaluate_writes_the_table(tmp_path, capsys):
     ("wrong", "told"),
     [
         (["--pedestrian", "orka"], "Unknown pedestrian model 'orka'. Choose one of "),
-        (["--levels", "1", "7"], "Unknown level 7. Choose among 1, 2, 3, 4"),
+        (["--levels", "1", "7"], "Unknown level 7. Choose one of 1, 2, 3, 4, v1"),
+        (["--levels", "one"], "Unknown level 'one'. Choose one of 1, 2, 3, 4, v1"),
         (["--episodes", "0"], "--episodes must be at least 1, not 0"),
         (["--period", "0.03"], "multiple of the physics step 0.02 s, not 0.03"),
         (["--period", "inf"], "multiple of the physics step"),
@@ -49,7 +50,7 @@ def test_a_wrong_request_is_one_line_and_exit_code_2(tmp_path, capsys, wrong, to
     ("arguments", "told"),
     [
         (["evaluate", "--pedestrian", "orca", "--engine", "bullet"], "native"),
-        (["evaluate", "--pedestrian", "orca", "--levels", "one"], "--levels"),
+        (["evaluate", "--pedestrian", "orca", "--episodes", "one"], "--episodes"),
         (["evaluate"], "--pedestrian"),
         (["evalute"], "evaluate"),
         ([], "command"),

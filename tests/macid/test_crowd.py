@@ -111,3 +111,25 @@ def test_the_same_seed_gives_the_same_episode_bit_for_bit():
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(same), strict=True):
         np.testing.assert_array_equal(a, b)
     assert not np.array_equal(one[1], other[1])
+
+
+def test_how_smoothly_people_walk_is_measured():
+    crowd = Crowd(Layout(40.0, np.empty((0, 5))), CrowdConfig(number=2, duration=4.0))
+
+    def controller(state, boxes, goals, lcf):  # the first walks up and down the speeds, the second stands and swings
+        step = (
+            jnp.round(state.yaw[:, 1] / (0.5 * 0.02)).astype(int) % 2
+        )  # its own clock: it turns by 0.01 rad a decision
+        speed = jnp.where(step == 0, 1.0, 0.6)
+        commands = [
+            jnp.stack([speed, 0 * speed, 0 * speed], -1),
+            jnp.stack([0 * speed, 0 * speed, 0.5 + 0 * speed], -1),
+        ]
+        return jnp.stack(commands, axis=1)
+
+    end, _ = crowd.rollout(episode_of(crowd, [[-15, 0], [15, 0]], [NOWHERE, NOWHERE]), controller)
+    np.testing.assert_allclose(end.time, 4.0, rtol=1e-4)
+    np.testing.assert_allclose(end.stalled, [[0.0, 4.0]], atol=0.03)
+    assert end.turned[0, 0] == pytest.approx(0.0, abs=1e-3) and end.turned[0, 1] == pytest.approx(0.5, rel=0.05)
+    assert end.sped[0, 1] == pytest.approx(0.0, abs=1e-3)
+    assert 20.0 < end.sped[0, 0] < 200 * 0.4  # the body follows a command with a lag

@@ -11,7 +11,7 @@ from macid.layout import load_level
 from macid.pedestrians import make_controller
 from macid.scene import PersonConfig
 
-COLUMNS = ("SR10", "CP", "PE", "arrived")
+COLUMNS = ("SR10", "CP", "PE", "arrived", "dv", "dw", "stalled")
 NEAR = CrowdConfig(number=7, duration=6.0, period=0.1, goal_distance=(2.0, 7.0))
 
 
@@ -43,6 +43,7 @@ def test_without_arrivals_path_efficiency_is_left_open():
         *f"{row['CP']:.1f} +- {row['CP_std']:.1f}".split(),
         "-",
         *["0.0", "+-", "0.0"],
+        *[part for name in ("dv", "dw", "stalled") for part in (f"{row[name]:.1f}", "+-", f"{row[name + '_std']:.1f}")],
     ]
 
 
@@ -52,4 +53,4 @@ def test_the_table_lines_up():
     lines = format_table([row, row | {"PE": None, "PE_std": None}]).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert all(name in lines[0] for name in ("model", "level", "people", *COLUMNS))
-    assert lines[1].count("100.0 +- 12.3") == 4
+    assert lines[1].count("100.0 +- 12.3") == len(COLUMNS)

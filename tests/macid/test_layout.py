@@ -8,7 +8,7 @@ from macid import layout as layouts
 from macid.geometry import box_corners
 from macid.layout import Layout, load_layout, load_level, maze_layout, random_layout, sample_goals, sample_people
 from macid.routing import occupancy_grid
-from macid.state import FAR_AWAY, RADIUS
+from macid.state import RADIUS
 
 OPEN = Layout(20.0, [])
 

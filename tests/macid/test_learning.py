@@ -1,15 +1,20 @@
 import csv
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from macid.layout import clearance, load_level
 from macid.learning import methods, ppo
-from macid.learning.train import PRESETS, TrainConfig, Trainer, train
+from macid.learning.train import PRESETS, TrainConfig, Trainer, draw_lcf, train
 from macid.policy import FEATURES, load_policy
+from macid.state import RADIUS
 
 TINY = TrainConfig(
     level=1, nworld=2, rollout=10, episode=2, agent_steps=2_000, ppo=ppo.PpoConfig(batch=128, epochs=2)
@@ -87,7 +92,7 @@ def test_each_networks_gradient_is_its_own_losss():
 
 
 def test_macid_with_the_lcf_at_zero_is_ipo_update_for_update(monkeypatch):
-    zeroed = dataclasses.replace(methods.get_method("macid"), name="zeroed", lcf=(0.0, 0.0))
+    zeroed = dataclasses.replace(methods.get_method("macid"), name="zeroed", lcf=(-0.0, 1e-30))  # both values learn
     monkeypatch.setitem(methods.METHODS, "zeroed", zeroed)
     parameters = []
     for name in ("ipo", "zeroed"):
@@ -96,7 +101,10 @@ def test_macid_with_the_lcf_at_zero_is_ipo_update_for_update(monkeypatch):
         for _ in range(3):
             state, _ = trainer.iterate(state)
         parameters.append(state.parameters)
-    assert same(*parameters)
+    assert "neighborhood" in parameters[1] and "neighborhood" not in parameters[0]
+    for network in ("policy", "individual"):
+        for a, b in zip(*(jax.tree.leaves(each[network]) for each in parameters), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
 
 
 @pytest.mark.parametrize("method", methods.METHODS)
@@ -122,16 +130,46 @@ def test_an_episode_keeps_its_lcfs_and_the_next_draws_new_ones():
 
 def test_resuming_equals_not_stopping(tmp_path):
     quiet = {"show": lambda line: None}
-    whole = train(TINY, tmp_path / "whole", **quiet)
-    train(TINY, tmp_path / "parts", stop_after=2, **quiet)
-    parts = train(TINY, tmp_path / "parts", resume=True, **quiet)
-    assert same(whole.layers, parts.layers)
-    rows = list(csv.DictReader((tmp_path / "parts" / "curve.csv").open()))
-    assert [float(row["agent_steps"]) for row in rows] == [500, 1000, 1500, 2000]
-    assert load_policy(str(tmp_path / "parts" / "policy.npz")).recipe["method"] == "macid"
-    assert json.loads((tmp_path / "parts" / "config.json").read_text())["seed"] == 0
+    whole = train(TINY, tmp_path / "whole", seeds=2, **quiet)
+    train(TINY, tmp_path / "parts", seeds=2, stop_after=2, **quiet)
+    parts = train(TINY, tmp_path / "parts", seeds=2, resume=True, **quiet)
+    assert [same(a.layers, b.layers) for a, b in zip(whole, parts, strict=True)] == [True, True]
+    assert not same(whole[0].layers, whole[1].layers)
+    for seed in (0, 1):
+        folder = tmp_path / "parts" / f"macid-{seed}"
+        rows = list(csv.DictReader((folder / "curve.csv").open()))
+        assert [float(row["agent_steps"]) for row in rows] == [500, 1000, 1500, 2000]
+        policy = load_policy(str(folder / "policy.npz"))
+        assert policy.recipe["method"] == "macid" and policy.recipe["seed"] == seed
+        assert same(policy.layers, whole[seed].layers)
+        assert json.loads((folder / "config.json").read_text())["seed"] == seed
     with pytest.raises(ValueError, match="another configuration"):
-        train(dataclasses.replace(TINY, seed=1), tmp_path / "parts", resume=True, **quiet)
+        train(TINY, tmp_path / "parts", seeds=1, resume=True, **quiet)
+
+
+@pytest.mark.parametrize("method", ["macid", "copo"])
+def test_seeds_at_once_are_the_seeds_alone(method):
+    trainer = Trainer(dataclasses.replace(TINY, method=method))
+    together = trainer.init_seeds([3, 4])
+    alone = [trainer.init(3), trainer.init(4)]
+    for _ in range(2):  # the second iteration ends the episode
+        together, _ = trainer.iterate_seeds(together)
+        alone = [trainer.iterate(state)[0] for state in alone]
+    for index, state in enumerate(alone):
+        one = trainer.seed_state(together, index)
+        for a, b in zip(jax.tree.leaves(one.parameters), jax.tree.leaves(state.parameters), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-4)
+        np.testing.assert_allclose(one.walk.lcf, state.walk.lcf, atol=1e-6)
+
+
+def test_a_share_of_the_crowds_is_alike():
+    lcf = np.asarray(draw_lcf(jax.random.key(0), (400, 30), (-2.0, 2.0), alike=0.25))
+    spread = np.ptp(lcf, axis=1)
+    assert (lcf >= -2).all() and (lcf <= 2).all()
+    alike = spread <= 4 / 6
+    assert 0.15 < alike.mean() < 0.35 and spread[~alike].min() > 2.0
+    assert np.ptp(lcf[alike].mean(axis=1)) > 2.5  # elsewhere in each crowd
+    assert (np.ptp(np.asarray(draw_lcf(jax.random.key(0), (400, 30), (-2.0, 2.0))), axis=1) > 2.0).all()
 
 
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another():
@@ -144,10 +182,13 @@ def test_the_same_seed_trains_the_same_policy_and_another_seed_another():
 
 def test_new_goals_are_free_and_at_a_fitting_distance():
     trainer = Trainer(TINY)
-    position = trainer._starts[:2]
-    goals = np.asarray(trainer._new_goals(jax.random.key(3), position))
-    distance = np.linalg.norm(goals - np.asarray(position), axis=-1)
-    assert ((distance >= 8) & (distance <= 24)).mean() > 0.95
+    layout = load_level(TINY.level)
+    position = np.random.default_rng(3).uniform(-24.6, 24.6, (200, 25, 2)).astype(np.float32)
+    goals = np.asarray(trainer._new_goals(jax.random.key(3), jnp.asarray(position)))
+    distance = np.linalg.norm(goals - position, axis=-1)
+    assert ((distance >= 8) & (distance <= 24)).all()
+    assert (clearance(goals, layout.boxes) > RADIUS).all()
+    assert distance.min() < 9.5 and distance.max() > 22.5
 
 
 def test_the_papers_preset_is_the_papers():
@@ -168,3 +209,56 @@ def test_the_papers_preset_is_the_papers():
 def test_a_wrong_setting_is_told(changes, told):
     with pytest.raises(ValueError, match=told):
         dataclasses.replace(TINY, **changes)
+
+
+_ON_TWO_DEVICES = """
+import dataclasses, sys
+import jax, numpy as np
+from macid.learning import ppo
+from macid.learning.train import TrainConfig, Trainer
+
+config = TrainConfig(engine="mjx", level=1, nworld=2, rollout=3, ppo=ppo.PpoConfig(batch=75, epochs=1))
+assert jax.device_count() == 2
+one, two = Trainer(config), Trainer(config, jax.devices())
+for seeds in ([5], [5, 6]):
+    ends = []
+    for trainer in (one, two):
+        states, _ = trainer.iterate_seeds(trainer.init_seeds(seeds))
+        ends.append(states)
+    for leaf in jax.tree.leaves(ends[1].walk):
+        assert len(leaf.sharding.device_set) == 2 and not leaf.sharding.is_fully_replicated, leaf.sharding
+    parameters = jax.tree.leaves(ends[1].parameters)
+    assert all(leaf.sharding.is_fully_replicated == (len(seeds) == 1) for leaf in parameters)
+    for a, b in zip(jax.tree.leaves(ends[0].parameters), parameters, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+try:
+    Trainer(dataclasses.replace(config, nworld=3), jax.devices()).init_seeds([0])
+except ValueError as error:
+    assert "divide" in str(error)
+else:
+    sys.exit("3 worlds on 2 devices were taken")
+"""
+
+
+@pytest.mark.slow
+def test_two_devices_train_what_one_does():
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    ran = subprocess.run([sys.executable, "-c", _ON_TWO_DEVICES], env=environment, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.slow
+def test_both_engines_train_to_the_same_curve():
+    config = TrainConfig(level=1, nworld=4, agent_steps=400_000, ppo=PRESETS["fast"])
+    curves = {}
+    for engine in ("native", "mjx"):
+        trainer = Trainer(dataclasses.replace(config, engine=engine))
+        states, curve = trainer.init_seeds([0, 1, 2]), []
+        for _ in range(trainer.iterations):
+            states, log = trainer.iterate_seeds(states)
+            curve.append(log["reward"])
+        curves[engine] = np.array(curve)  # (iterations, seeds)
+    native, mjx = curves["native"], curves["mjx"]
+    assert native[-4:].mean() > native[:4].mean()  # it learns
+    noise = np.maximum(native.std(axis=1), 0.02)
+    assert (np.abs(native.mean(axis=1) - mjx.mean(axis=1)) < 4 * noise).all()

@@ -54,7 +54,7 @@ def test_actions_are_within_a_pedestrians_limits_and_lcf_matters():
 
 
 def test_lists_and_single_observations_are_taken():
-    made, (seen, lcf) = make(), observations(3)
+    made, (seen, _) = make(), observations(3)
     assert np.allclose(made(seen[0].tolist(), 0.5), made(seen[:1], np.array([0.5], np.float32))[0])
 
 
