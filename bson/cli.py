@@ -2,7 +2,6 @@
 
 import argparse
 import ast
-import os
 import pathlib
 import shlex
 import sys
@@ -253,15 +252,6 @@ def parser():
 def main(argv=None):
     """Entry point; returns the exit code."""
     argv = sys.argv[1:] if argv is None else argv
-    try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # whatever its choice of GL brings up
-        chosen = os.environ.get("MUJOCO_GL", "")
-        print(
-            f"bson: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
-            file=sys.stderr,
-        )
-        return 2
     args = parser().parse_args(argv)
     args.argv = argv
     return run_command("bson", lambda: args.run(args))

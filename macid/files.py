@@ -48,6 +48,15 @@ def run_command(program, main):
     With BSON_TRACEBACK set in the environment, errors are raised as they are.
     """
     try:
+        import mujoco  # noqa: F401
+    except Exception as error:  # whatever its choice of GL brings up
+        chosen = os.environ.get("MUJOCO_GL", "")
+        print(
+            f"{program}: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
+            file=sys.stderr,
+        )
+        return 2
+    try:
         return main()
     except (ValueError, FileNotFoundError) as error:
         if os.environ.get("BSON_TRACEBACK"):

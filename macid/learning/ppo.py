@@ -26,20 +26,27 @@ class PpoConfig:
     entropy: float = 0.0
 
 
-def gae(reward, value, last_value, gamma, lam):
+def gae(reward, value, last_value, gamma, lam, redrawn=None):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
     reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
+    redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
+    follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
     """
+    next_value = jnp.concatenate([value[1:], last_value[None]])
+    if redrawn is None:
+        redrawn = jnp.zeros(reward.shape, bool)
+    typical = jnp.sum(next_value * redrawn) / jnp.maximum(jnp.sum(redrawn), 1)
+    next_value = jnp.where(redrawn, typical, next_value)
+    decay = jnp.where(redrawn, 0.0, gamma * lam)
 
-    def backward(carry, now):
-        advantage, next_value = carry
-        reward, value = now
-        advantage = reward + gamma * next_value - value + gamma * lam * advantage
-        return (advantage, value), advantage
+    def backward(advantage, now):
+        delta, decay = now
+        advantage = delta + decay * advantage
+        return advantage, advantage
 
-    zero = jnp.zeros_like(last_value)
-    _, advantage = jax.lax.scan(backward, (zero, last_value), (reward, value), reverse=True)
+    delta = reward + gamma * next_value - value
+    _, advantage = jax.lax.scan(backward, jnp.zeros_like(last_value), (delta, decay), reverse=True)
     return advantage, advantage + value
 
 

@@ -123,7 +123,7 @@ class Trainer:
         corner = _CELL / 2**0.5  # so that a goal fits from everywhere in the cell
         fitting = sample_goals(rng, layout, centres, (GOAL_DISTANCE[0] + corner, GOAL_DISTANCE[1] - corner))
         self._fitting = jnp.asarray(fitting.reshape(cells, cells, _GOALS, 2), jnp.float32)
-        self._mesh = jax.make_mesh((len(devices),), ("device",), devices=devices) if devices else None
+        self._mesh = jax.sharding.Mesh(np.array(devices), ("device",)) if devices else None
         self._begin_jitted, self._spread_jitted = jax.jit(self._begin), jax.jit(self._spread)
         self.iterate = jax.jit(self._iterate)
         self.iterate_seeds = jax.jit(self._iterate_seeds)
@@ -258,7 +258,8 @@ class Trainer:
             layers, scale = state.parameters[name], config.ppo.reward_scale
             values, last_value = mlp(layers, steps["critic"])[..., 0], mlp(layers, last)[..., 0]
             gamma = 1.0 if name == "global" else config.ppo.gamma
-            estimates[name] = learning.gae(scale * steps[name], values, last_value, gamma, config.ppo.lam)
+            redrawn = steps["arrived"] if name == "individual" else None
+            estimates[name] = learning.gae(scale * steps[name], values, last_value, gamma, config.ppo.lam, redrawn)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         shared = estimates["neighborhood"][0] if "neighborhood" in estimates else 0.0
         advantage = learning.coordinated_advantage(estimates["individual"][0], shared, lcf, self.method.coordination)

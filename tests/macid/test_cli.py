@@ -1,5 +1,7 @@
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -81,3 +83,10 @@ def test_train_writes_a_policy_that_evaluate_takes(tmp_path):
     assert row["config"]["lcf"] == pytest.approx([0.5236, 1.0472], abs=1e-4)
     with pytest.raises(SystemExit):
         main([*arguments, "--preset", "x"])
+
+
+def test_a_wrong_choice_of_opengl_is_one_line_and_exit_code_2():
+    command = [sys.executable, "-m", "macid.cli", "evaluate", "--pedestrian", "orca"]
+    ran = subprocess.run(command, env=os.environ | {"MUJOCO_GL": "glx"}, capture_output=True, text=True)
+    assert ran.returncode == 2 and ran.stdout == ""
+    assert ran.stderr.count("\n") == 1 and "MUJOCO_GL='glx'" in ran.stderr
