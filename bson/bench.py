@@ -7,14 +7,19 @@ import time
 import numpy as np
 
 from bson.evaluate import versions
-from bson.sensors import Imu, Lidar2D
+from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import LocalTrack
 
 PEOPLE = (24, 50, 100, 200)
 BATCHES = (1, 16)
-SENSORS = {"none": (), "lidar2d": (Imu(), Lidar2D())}
+SENSORS = {
+    "none": (),
+    "lidar2d": (Imu(), Lidar2D()),
+    "lidar3d": (Imu(), Lidar3D()),
+    "camera": (Imu(), RgbCamera(), DepthCamera()),
+}
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 
 

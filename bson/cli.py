@@ -2,13 +2,19 @@
 
 import argparse
 import ast
+import dataclasses
 import pathlib
 import shlex
 import sys
 
 from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 
-TRACK = ("local", "lidar2d")
+
+def _track(args, make_agent):
+    """The track and sensors that an agent wants, unless the command line says otherwise."""
+    from bson.tracks import make_track
+
+    return make_track(args.track or make_agent.track, args.sensor or make_agent.sensor)
 
 
 def _overrides(pairs):
@@ -35,12 +41,11 @@ def _check_spawn(config, seeds):
         spawn(config, np.random.default_rng(seed))
 
 
-def _play(make_agent, config, seeds, name):
+def _play(make_agent, config, track, seeds, name):
     """The episodes `seeds`, with a progress bar on stderr."""
     from tqdm import tqdm
 
     from bson.evaluate import run_episodes
-    from bson.tracks import make_track
 
     with tqdm(total=len(seeds), unit="episode", desc=name, file=sys.stderr, smoothing=0) as bar:
         steps = 0
@@ -53,16 +58,18 @@ def _play(make_agent, config, seeds, name):
             if episode is not None or steps % 160 == 0:
                 bar.set_postfix_str(f"{steps / max(bar.format_dict['elapsed'], 1e-9):,.0f} steps/s", refresh=True)
 
-        return run_episodes(make_agent, config, make_track(*TRACK), seeds, name, progress)
+        return run_episodes(make_agent, config, track, seeds, name, progress)
 
 
-def _films(episodes, config, folder, number, name):
-    """Films the worst, the best, and episodes between; returns (path, caption) pairs and why there are none."""
+def _films(played, cells, track, folder, number, name):
+    """Films the worst, the best, and episodes between; returns (path, caption) pairs and why there are none.
+
+    played: the episodes of each of `cells`.
+    """
     from tqdm import tqdm
 
     from bson import film
     from bson.metrics import sns, spread_by_score
-    from bson.tracks import make_track
     from bson.world import build_model
     from macid import drawing
 
@@ -72,41 +79,54 @@ def _films(episodes, config, folder, number, name):
         print(f"No video: {problem}", file=sys.stderr)
         return [], f"No video: {problem}"
     output_folder(folder)
-    chosen = spread_by_score(episodes, number)
-    model = build_model(config, make_track(*TRACK).sensors)
+    cell_of = {id(episode): cell for cell, episodes in zip(cells, played, strict=True) for episode in episodes}
+    chosen = spread_by_score([episode for episodes in played for episode in episodes], number)
     made = []
     for place, episode in enumerate(tqdm(chosen, unit="film", desc="filming", file=sys.stderr)):
+        cell = cell_of[id(episode)]
         path = folder / f"seed-{episode.seed}.webm"
-        film.film(model, episode, path, title=name)
+        if len(cells) > 1:
+            path = folder / f"seed-{episode.seed}-{cell.name.replace(', ', '-')}.webm"
+        film.film(build_model(cell.config, track.sensors), episode, path, title=name)
         kind = {0: ", the worst episode", len(chosen) - 1: ", the best episode"}.get(place, "")
-        made.append((path, f"seed {episode.seed}{kind}: SNS {sns(episode):.1f}"))
+        where = f" in {cell.name}" if len(cells) > 1 else ""
+        made.append((path, f"seed {episode.seed}{where}{kind}: SNS {sns(episode):.1f}"))
     return made, ""
 
 
 def _evaluate(args):
     from bson.agents import load_agent
-    from bson.evaluate import format_summary, results
+    from bson.evaluate import format_summary, results, summarise_cells
     from bson.report import make_report
     from bson.suites import load_suite
 
     suite = load_suite(args.suite)
     seeds = suite.drawn(args.episodes, args.seed)
     changes = _overrides(args.set)
-    config = suite.config.replace(**changes)
+    cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in suite.cells]
     make_agent = load_agent(args.agent)
+    track = _track(args, make_agent)
     if args.videos < 0:
         raise UsageError(f"--videos must be at least 0, not {args.videos}.")
-    _check_spawn(config, seeds)
+    for cell in cells:
+        _check_spawn(cell.config, seeds)
     out = output_folder(args.out)
     if (out / "results.json").is_dir():
         raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
-    episodes = _play(make_agent, config, seeds, args.agent)
+    played = []
+    for cell in cells:
+        name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
+        played.append(_play(make_agent, cell.config, track, seeds, name))
+    episodes = [episode for each in played for episode in each]
     content = results(
         args.agent,
         suite.name,
-        config,
+        cells[0].config,
         episodes,
-        people=config.people,
+        people=cells[0].config.people,
+        cells=summarise_cells(cells, played),
+        suite_digest=suite.digest if not changes else None,
+        track=[args.track or make_agent.track, args.sensor or make_agent.sensor],
         overrides={key: str(value) for key, value in changes.items()},
         frozen_seeds=args.seed == 0,
         command="bson " + shlex.join(args.argv),
@@ -116,7 +136,7 @@ def _evaluate(args):
     for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
         stale.unlink(missing_ok=True)
     write_json(out / "results.json", content)
-    videos, why_not = _films(episodes, config, out / "videos", args.videos, args.agent)
+    videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
     write_bytes(out / "report.html", make_report(content, episodes, videos, why_not).encode())
     print(f"Written: {out / 'results.json'}, {out / 'report.html'}" + "".join(f", {path}" for path, _ in videos))
     return 0
@@ -126,12 +146,12 @@ def _render(args):
     from bson import film
     from bson.agents import load_agent
     from bson.task import TaskConfig
-    from bson.tracks import make_track
     from bson.world import build_model
     from macid import drawing
 
     config = TaskConfig().replace(**_overrides(args.set))
     make_agent = load_agent(args.agent)
+    track = _track(args, make_agent)
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
@@ -143,8 +163,8 @@ def _render(args):
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
     output_folder(path.parent)
-    (episode,) = _play(make_agent, config, [args.seed], args.agent)
-    model = build_model(config, make_track(*TRACK).sensors)
+    (episode,) = _play(make_agent, config, track, [args.seed], args.agent)
+    model = build_model(config, track.sensors)
     if path.suffix == ".png":
         step = len(episode.pose) // 2 if args.step is None else args.step
         if not -len(episode.pose) <= step < len(episode.pose):
@@ -181,19 +201,24 @@ def _list(args):
     from bson.agents import BUILT_IN
     from bson.env import ENVIRONMENTS
     from bson.suites import load_suite, suite_names
+    from macid.maps import map_names
     from macid.pedestrians import model_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
     print("agents        " + ", ".join(BUILT_IN) + ", or module:function, or file.py[:function]")
     print("pedestrians   " + ", ".join(model_names()))
+    print("maps          " + ", ".join(map_names()) + ", or a .toml or .yaml file (--set map=NAME)")
     for name in suite_names():
         suite = load_suite(name)
-        print(f"suite         {name}: {suite.description} ({len(suite.seeds)} seeds)")
+        count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
+        print(f"suite         {name}: {suite.description} ({count} seeds)")
     return 0
 
 
 def _add_setting(command):
     command.add_argument("--agent", default="vfh", help="a name (bson list), module:function, or file.py[:function]")
+    command.add_argument("--track", default=None, help="local or global (default: what the agent wants)")
+    command.add_argument("--sensor", default=None, help="lidar2d, ... (default: what the agent wants)")
     command.add_argument(
         "--set",
         action="append",
@@ -238,7 +263,9 @@ def parser():
     bench = commands.add_parser("bench", help="measure control steps/s", **defaults)
     bench.add_argument("--pedestrians", type=int, nargs="+", default=[24, 50, 100, 200])
     bench.add_argument("--worlds", type=int, nargs="+", default=[1, 16])
-    bench.add_argument("--sensors", nargs="+", default=["none", "lidar2d"], choices=["none", "lidar2d"])
+    bench.add_argument(
+        "--sensors", nargs="+", default=["none", "lidar2d"], choices=["none", "lidar2d", "lidar3d", "camera"]
+    )
     bench.add_argument("--seconds", type=float, default=2.0, help="time a case")
     bench.add_argument("--pedestrian-model", default="macid")
     bench.add_argument("--out", default=None, help="JSON file")

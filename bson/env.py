@@ -6,7 +6,7 @@ from gymnasium.vector import AutoresetMode
 
 from bson.session import Recorder, Session
 from bson.task import TaskConfig
-from bson.tracks import make_track
+from bson.tracks import SENSORS, TRACKS, make_track
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -40,12 +40,15 @@ def _episode_options(options):
     return dict(options or {})
 
 
-def _episode_config(config, options):
-    """`config` with the options of a reset, which must leave the spaces as they are."""
-    for name in ("map_size", "robot"):
-        if options.get(name, getattr(config, name)) != getattr(config, name):
-            raise ValueError(f"{name} shapes the observation space: give it to make, not to reset.")
-    return config.replace(**options)
+def _episode_config(config, track, options):
+    """`config` with the options of a reset, which must leave the spaces of `track` as they are."""
+    changed = config.replace(**options)
+    if changed != config and track.space(changed) != track.space(config):
+        alone = [
+            name for name in options if track.space(config.replace(**{name: options[name]})) != track.space(config)
+        ]
+        raise ValueError(f"{' and '.join(alone)} shapes the observation space: give it to make, not to reset.")
+    return changed
 
 
 class BsonEnv(gymnasium.Env):
@@ -59,15 +62,28 @@ class BsonEnv(gymnasium.Env):
     | 0 | speed ahead; negative drives back | 2.0 m/s |
     | 1 | yaw rate, counter-clockwise | 2.0 rad/s |
 
-    ## Observation (Local track, 2D LIDAR)
-    A dict of float32 arrays. The robot frame has x ahead, y to the left.
+    ## Observation
+    A dict of arrays, float32 where nothing else is said. The robot frame has x ahead, y to the left.
 
     | key | shape | what | frame, unit |
     |---|---|---|---|
     | goal | (2,) | position of the goal | robot, m |
     | velocity | (2,) | speed ahead, yaw rate | robot, m/s and rad/s |
     | imu | (6,) | specific force x, y, z; angular velocity x, y, z | robot, m/s2 and rad/s |
-    | lidar | (720,) | distances from -135 degrees (right) to +135 (left); 30 m where nothing is hit | robot, m |
+    | lidar | (720,) | (Lidar2D) distances from -135 degrees (right) to +135 (left); 30 m where nothing is hit | robot, m |
+    | lidar3d | (16, 360) | (Lidar3D) distances, rows from -15 to +15 degrees, columns from behind over right, ahead, left; 100 m where nothing is hit | robot, m |
+    | rgb | (120, 160, 3) | (Camera) uint8, the view ahead | - |
+    | depth | (120, 160) | (Camera) distance along the camera's axis, 0.3 to 10 m | camera, m |
+
+    On the Global track also, in the world frame (the origin is the map's centre):
+
+    | key | shape | what | unit |
+    |---|---|---|---|
+    | map | (cells, cells) | uint8: 1 where something solid reaches the cell's centre; row 0 is the lowest | - |
+    | map_origin | (2,) | outer corner of the cell in row 0, column 0 | m |
+    | map_resolution | (1,) | side of a cell | m |
+    | pose | (3,) | the robot's x, y, yaw | m, m, rad |
+    | people | (K, 2) | every pedestrian's position | m |
 
     ## Reward
     Eq. 5: 1.0 per metre that the goal came closer, +2.0 at the goal, -1.0 in a control step with any contact.
@@ -75,7 +91,7 @@ class BsonEnv(gymnasium.Env):
     ## Episode
     It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps. `info` has the seed of the
     episode, time, pose and goal (world frame), start_distance (d_i), distance (d_f), travelled, collisions (steps of
-    0.02 s in contact) and collisions_person, _obstacle, _wall, nearest_person (surface to surface; inf if nobody) and
+    0.02 s in contact) and collisions_person, _robot_on_person, _obstacle, _wall, nearest_person (surface to surface; inf if nobody) and
     arrived: all that the metrics need.
 
     ## Arguments
@@ -110,7 +126,7 @@ class BsonEnv(gymnasium.Env):
         """Begins an episode; see the class."""
         _check_seed(seed)
         super().reset(seed=seed)
-        self._session.configure(_episode_config(self.config, _episode_options(options)))
+        self._session.configure(_episode_config(self.config, self._track, _episode_options(options)))
         seed = self._first_seed if seed is None else seed
         self._first_seed = None
         if seed is not None:
@@ -202,7 +218,7 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         _check_seed(seed)
         if mask is None:
             ids = self._all
-            self._session.configure(_episode_config(self.config, options))
+            self._session.configure(_episode_config(self.config, self._session.track, options))
         else:
             if options:
                 raise ValueError("Options other than reset_mask are for a reset of all worlds.")
@@ -272,7 +288,12 @@ def _first(observation):
     return {name: value[0] for name, value in observation.items()}
 
 
-ENVIRONMENTS = {"BSON/LocalLidar2D-v0": {"track": "local", "sensor": "lidar2d"}}
+_IN_ID = {"lidar2d": "Lidar2D", "lidar3d": "Lidar3D", "camera": "Camera"}
+ENVIRONMENTS = {
+    f"BSON/{track.capitalize()}{_IN_ID[sensor]}-v0": {"track": track, "sensor": sensor}
+    for track in sorted(TRACKS, reverse=True)
+    for sensor in SENSORS
+}
 
 
 def register():

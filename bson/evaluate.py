@@ -9,7 +9,7 @@ from importlib import metadata
 import numpy as np
 
 from bson.agents import act
-from bson.metrics import PARTS, measure, summarise
+from bson.metrics import METRICS, measure, summarise
 from bson.session import Recorder, Session
 
 BATCH = 16  # worlds at once
@@ -59,23 +59,48 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
 
 
 def results(agent, suite, config, episodes, **more):
-    """The content of results.json. Numbers that are not finite (no people: nearest_person) become null."""
+    """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
+
+    summary: means over the episodes in which a metric is finite; counts: how many these are; metrics: what each is.
+    """
     measured = [measure(episode) for episode in episodes]
     summary = summarise(measured)
-    rest = [name for name in summary if name not in PARTS]
     return {
         "agent": agent,
         "suite": suite,
         "config": dataclasses.asdict(config),
         "versions": versions(),
-        "summary": {name: summary[name]["mean"] for name in (*PARTS, *rest)},
-        "intervals": {name: [summary[name]["low"], summary[name]["high"]] for name in (*PARTS, *rest)},
+        "summary": {name: row["mean"] for name, row in summary.items()},
+        "intervals": {name: [row["low"], row["high"]] for name, row in summary.items()},
+        "counts": {name: row["count"] for name, row in summary.items()},
+        "metrics": {
+            metric.name: {"unit": metric.unit, "better": metric.better or "neither", "what": metric.what}
+            for metric in METRICS
+        },
         "episodes": [
             {"seed": episode.seed, **{name: value if math.isfinite(value) else None for name, value in row.items()}}
             for episode, row in zip(episodes, measured, strict=True)
         ],
         **more,
     }
+
+
+def summarise_cells(cells, played):
+    """For each of a suite's `cells`, whose episodes `played` has: its name, grades, configuration and summary."""
+    rows = []
+    for cell, episodes in zip(cells, played, strict=True):
+        summary = summarise([measure(episode) for episode in episodes])
+        rows.append(
+            {
+                "name": cell.name,
+                "grades": dict(cell.grades),
+                "config": dataclasses.asdict(cell.config),
+                "episodes": len(episodes),
+                "summary": {name: row["mean"] for name, row in summary.items()},
+                "intervals": {name: [row["low"], row["high"]] for name, row in summary.items()},
+            }
+        )
+    return rows
 
 
 def versions():
@@ -89,12 +114,24 @@ def versions():
 
 
 def format_summary(content):
-    """The score and its parts as plain text."""
+    """The score, then the other metrics by group, as plain text."""
     count = len(content["episodes"])
     lines = [
         f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"
     ]
-    for name, value in content["summary"].items():
-        low, high = content["intervals"][name]
-        lines.append(f"  {name:<16}{value:>9.3f}   [{low:.3f}, {high:.3f}]")
+    group = None
+    for metric in METRICS:
+        if metric.minor or metric.name not in content["summary"]:
+            continue
+        if metric.group != group:
+            group = metric.group
+            lines.append(f" {group}")
+        low, high = content["intervals"][metric.name]
+        entered = content["counts"][metric.name]
+        few = f", {entered} episode{'s' if entered != 1 else ''}" if entered < count else ""
+        interval = f"[{low:.3f}, {high:.3f}]"
+        lines.append(
+            f"  {metric.name:<21}{content['summary'][metric.name]:>9.3f}   {interval:<20}"
+            f" {metric.unit:<5} {metric.better or '-'}{few}".rstrip()
+        )
     return "\n".join(lines)

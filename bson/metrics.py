@@ -1,27 +1,22 @@
-"""The score: SNS and its parts (paper, sec. VI-C, eq. 6), and what users expect beside it. Pure functions of an Episode.
+"""The score: SNS and its parts (paper, sec. VI-C, eq. 6), and what users expect beside it (Francis et al. 2023).
 
-| metric | what | unit | better |
-|---|---|---|---|
-| SNS | RC * 0.95^Coll * (50 PE + 50 SP) | 0 to 100 | up |
-| RC | route completion, 1 - d_f / d_i; below 0 for who ends farther from the goal than it began | - | up |
-| Coll | steps of 0.02 s in which the robot is within 0.01 m of anything | steps | down |
-| SP | speed score, (v - 0.5 m/s) / 1.0 m/s in [0, 1], v the mean speed | - | up |
-| PE | path efficiency, (d_i - d_f) / way driven, in [0, 1]; 0 for who did not move | - | up |
-| success | goal reached (within 0.5 m) before the horizon | share | up |
-| Coll_person, Coll_obstacle, Coll_wall | Coll by what was touched | steps | down |
-| time | duration of the episode | s | down |
-| nearest_person | least surface-to-surface distance to a person, at control steps | m | up |
-| personal_space | share of time with a person nearer than 1.2 m, surface to surface (Francis et al. 2023) | share | down |
+Pure functions of an Episode. METRICS, at the end, is the one table of them: name, group, unit, which way is better,
+and what it is, with its threshold.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
+from macid.crowd import STALLED
+from macid.state import RADIUS
+
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
-PERSONAL_SPACE = 1.2  # [m]
+INTIMATE_SPACE, PERSONAL_SPACE, SOCIAL_SPACE = 0.45, 1.2, 3.6  # [m], surface to surface
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
+GROUPS = ("score", "safety", "comfort", "efficiency")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,13 +24,16 @@ class Episode:
     """One episode of one robot. World frame; metres, seconds, radians. T control steps, K people, B boxes."""
 
     seed: int
-    start_distance: float  # d_i: from the start to the goal
+    start_distance: float  # d_i: from the start to the goal, as the crow flies
+    shortest: float  # way from the start to the goal around the walls; straight where the router finds none
     final_distance: float  # d_f
     travelled: float  # way driven
     duration: float
     arrived: bool
+    timed_out: bool  # the horizon came first
     collisions: int  # physics steps (0.02 s) in contact with anything
     collisions_person: int
+    collisions_robot_on_person: int  # of those: moving towards a person that it touches, at more than 0.05 m/s
     collisions_obstacle: int
     collisions_wall: int
     collisions_so_far: np.ndarray  # (T + 1,) the count of `collisions` up to each control step
@@ -46,8 +44,10 @@ class Episode:
     pose: np.ndarray  # (T + 1, 3) of the robot: x, y, yaw
     velocity: np.ndarray  # (T + 1, 2) v, w
     people: np.ndarray  # (T + 1, K, 3) x, y, yaw
+    people_velocity: np.ndarray  # (T + 1, K, 2) world frame
     qpos: np.ndarray  # (T + 1, nq) MuJoCo's configuration, for films
     period: float  # of control
+    robot_radius: float  # of the circle around its footprint
 
 
 def route_completion(episode):
@@ -76,23 +76,127 @@ def sns(episode):
     return route_completion(episode) * GAMMA**episode.collisions * quality
 
 
+def time_to_collision(episode):
+    """For each control step the least t >= 0 [s] with |dp + dv t| = r1 + r2 for a person, both keeping their velocity.
+
+    The robot is the disc around its footprint. (T + 1,): 0 where the discs overlap, infinity where none ever will.
+    """
+    yaw, ahead = episode.pose[:, 2], episode.velocity[:, :1]
+    dp = episode.people[..., :2] - episode.pose[:, None, :2]
+    dv = episode.people_velocity - (ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1))[:, None]
+    apart = (dp**2).sum(axis=-1) - (episode.robot_radius + RADIUS) ** 2
+    closing, squared = -(dp * dv).sum(axis=-1), (dv**2).sum(axis=-1)
+    root = closing**2 - squared * apart
+    meets = (closing > 0) & (root >= 0)
+    time = np.where(meets, apart / np.where(meets, closing + np.sqrt(np.maximum(root, 0.0)), 1.0), np.inf)
+    return np.where(apart <= 0, 0.0, time).min(axis=-1, initial=np.inf)
+
+
+def spl(episode):
+    """SPL: 0 for who did not arrive, else the shortest way over the way driven, at most 1 (Anderson et al. 2018)."""
+    return float(episode.arrived) * episode.shortest / max(episode.travelled, episode.shortest)
+
+
+def _over(statistic, values):
+    """`statistic` of `values`; 0 where an episode is too short to have any."""
+    return float(statistic(values)) if len(values) else 0.0
+
+
+def _speed(episode):
+    """(T,) [m/s], without sign, after each control step."""
+    return np.abs(episode.velocity[1:, 0])
+
+
+def _derivative(episode, order):
+    """(T + 1 - order,) change of the speed ahead, `order` 1: acceleration [m/s2], 2: jerk [m/s3]."""
+    return np.diff(episode.velocity[:, 0], order) / episode.period**order
+
+
+def _within(episode, distance):
+    return float((episode.nearest_person < distance).mean())
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """A row of METRICS."""
+
+    name: str
+    group: str  # of GROUPS
+    unit: str  # "" for a plain number
+    better: str  # "up", "down" or, where it is neither, ""
+    of: Callable  # float of an Episode; infinity where there is no such thing
+    what: str  # with its threshold
+    minor: bool = False  # of interest only at a second look
+
+
+# fmt: off
+METRICS = (
+    Metric("SNS", "score", "", "up", sns, "RC * 0.95^Coll * (50 PE + 50 SP), of 100"),
+    Metric("RC", "score", "", "up", route_completion,
+           "route completion, 1 - d_f / d_i; below 0 for who ends farther from the goal than it began"),
+    Metric("Coll", "score", "steps", "down", lambda e: float(e.collisions),
+           "steps of 0.02 s in which the robot is within 0.01 m of anything"),
+    Metric("SP", "score", "", "up", speed_score,
+           "speed score, (v - 0.5 m/s) / 1.0 m/s in [0, 1], v the mean speed"),
+    Metric("PE", "score", "", "up", path_efficiency,
+           "path efficiency, (d_i - d_f) / way driven, in [0, 1]; 0 for who did not move"),
+
+    Metric("Coll_person", "safety", "steps", "down", lambda e: float(e.collisions_person), "Coll with people"),
+    Metric("Coll_robot_on_person", "safety", "steps", "down", lambda e: float(e.collisions_robot_on_person),
+           "of Coll_person: the robot moves towards whom it touches, at more than 0.05 m/s"),
+    Metric("Coll_person_on_robot", "safety", "steps", "down",
+           lambda e: float(e.collisions_person - e.collisions_robot_on_person),
+           "of Coll_person: the others, in which the robot is run into"),
+    Metric("Coll_obstacle", "safety", "steps", "down", lambda e: float(e.collisions_obstacle), "Coll with obstacles"),
+    Metric("Coll_wall", "safety", "steps", "down", lambda e: float(e.collisions_wall), "Coll with outer walls"),
+    Metric("nearest_person", "safety", "m", "up", lambda e: float(e.nearest_person.min()),
+           "least surface-to-surface distance to a person, at control steps"),
+    Metric("time_to_collision", "safety", "s", "up", lambda e: float(time_to_collision(e).min()),
+           "least time until robot and person, as discs, would touch if both kept their velocity; if they ever would"),
+
+    Metric("nearest_person_mean", "comfort", "m", "up", lambda e: float(e.nearest_person.mean()),
+           "surface-to-surface distance to the nearest person, mean over time"),
+    Metric("intimate_space", "comfort", "share", "down", lambda e: _within(e, INTIMATE_SPACE),
+           "share of time with a person nearer than 0.45 m, surface to surface"),
+    Metric("personal_space", "comfort", "share", "down", lambda e: _within(e, PERSONAL_SPACE),
+           "share of time with a person nearer than 1.2 m, surface to surface"),
+    Metric("social_space", "comfort", "share", "down", lambda e: _within(e, SOCIAL_SPACE),
+           "share of time with a person nearer than 3.6 m, surface to surface"),
+    Metric("acceleration_mean", "comfort", "m/s2", "down", lambda e: _over(np.mean, np.abs(_derivative(e, 1))),
+           "of the speed ahead from control step to control step, without its sign"),
+    Metric("acceleration_min", "comfort", "m/s2", "up", lambda e: _over(np.min, _derivative(e, 1)),
+           "least acceleration: the hardest braking, below 0", minor=True),
+    Metric("acceleration_max", "comfort", "m/s2", "down", lambda e: _over(np.max, _derivative(e, 1)),
+           "greatest acceleration", minor=True),
+    Metric("jerk_mean", "comfort", "m/s3", "down", lambda e: _over(np.mean, np.abs(_derivative(e, 2))),
+           "change of the acceleration from control step to control step, without its sign"),
+    Metric("jerk_min", "comfort", "m/s3", "up", lambda e: _over(np.min, _derivative(e, 2)),
+           "least jerk, below 0", minor=True),
+    Metric("jerk_max", "comfort", "m/s3", "down", lambda e: _over(np.max, _derivative(e, 2)),
+           "greatest jerk", minor=True),
+
+    Metric("success", "efficiency", "share", "up", lambda e: float(e.arrived),
+           "goal reached (within 0.5 m) before the horizon"),
+    Metric("timeout", "efficiency", "share", "down", lambda e: float(e.timed_out), "horizon reached before the goal"),
+    Metric("SPL", "efficiency", "", "up", spl,
+           "success * shortest way around the walls / way driven, in [0, 1]; 0 for who did not arrive"),
+    Metric("time", "efficiency", "s", "down", lambda e: e.duration, "duration of the episode"),
+    Metric("time_to_goal", "efficiency", "s", "down", lambda e: e.duration if e.arrived else np.inf,
+           "duration of the episodes that reached the goal"),
+    Metric("stalled_time", "efficiency", "s", "down", lambda e: float((_speed(e) < STALLED).sum() * e.period),
+           "time at less than 0.1 m/s, turning on the spot included"),
+    Metric("path_length", "efficiency", "m", "down", lambda e: e.travelled, "way driven"),
+    Metric("speed_mean", "efficiency", "m/s", "", lambda e: _over(np.mean, _speed(e)),
+           "speed after control steps, ahead or back", minor=True),
+    Metric("speed_min", "efficiency", "m/s", "", lambda e: _over(np.min, _speed(e)), "least speed", minor=True),
+    Metric("speed_max", "efficiency", "m/s", "", lambda e: _over(np.max, _speed(e)), "greatest speed", minor=True),
+)
+# fmt: on
+
+
 def measure(episode):
-    """All metrics of one episode, as a dict of floats in the order of the module's table."""
-    nearest = episode.nearest_person
-    return {
-        "SNS": sns(episode),
-        "RC": route_completion(episode),
-        "Coll": float(episode.collisions),
-        "SP": speed_score(episode),
-        "PE": path_efficiency(episode),
-        "success": float(episode.arrived),
-        "Coll_person": float(episode.collisions_person),
-        "Coll_obstacle": float(episode.collisions_obstacle),
-        "Coll_wall": float(episode.collisions_wall),
-        "time": episode.duration,
-        "nearest_person": float(nearest.min()),
-        "personal_space": float((nearest < PERSONAL_SPACE).mean()),
-    }
+    """All metrics of one episode, as a dict of floats in the order of METRICS."""
+    return {metric.name: metric.of(episode) for metric in METRICS}
 
 
 def spread_by_score(episodes, most):
@@ -103,17 +207,19 @@ def spread_by_score(episodes, most):
 
 
 def summarise(measured, resamples=9999):
-    """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high"}}.
+    """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high", "count"}}.
 
     measured: dicts of `measure`. The interval is the percentile bootstrap's, from a fixed seed, so that the same
-    episodes give the same interval. Metrics that are infinite (no people) are left out.
+    episodes give the same interval. Infinite values (no people, not arrived, on no collision course) don't enter:
+    count is the number of episodes that do, and a metric without any is left out.
     """
     summary = {}
     for name in measured[0]:
         values = np.array([row[name] for row in measured])
-        if not np.isfinite(values).all():
+        values = values[np.isfinite(values)]
+        if not len(values):
             continue
         means = np.random.default_rng(0).choice(values, (resamples, len(values))).mean(axis=1)
         low, high = np.percentile(means, [2.5, 97.5])
-        summary[name] = {"mean": float(values.mean()), "low": float(low), "high": float(high)}
+        summary[name] = {"mean": float(values.mean()), "low": float(low), "high": float(high), "count": len(values)}
     return summary

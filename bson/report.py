@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 
-from bson.metrics import measure, spread_by_score
+from bson.metrics import GROUPS, METRICS, measure, spread_by_score
 
 _INK, _ACCENT, _BAD, _GRID = "#1d2733", "#1f6f8b", "#c0392b", "#d9dfe5"
 
@@ -38,6 +38,11 @@ figure img,figure video{width:100%;display:block;border-radius:6px} figcaption{c
 .scroll{max-height:420px;overflow:auto;background:#fff;border:1px solid #e1e6eb;border-radius:10px}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums} th,td{padding:5px 12px;text-align:right}
 th{position:sticky;top:0;background:#eef2f5;font-weight:600} tr:nth-child(even) td{background:#fafbfc}
+.groups{display:grid;grid-template-columns:repeat(auto-fit,minmax(355px,1fr));gap:16px;align-items:start}
+.groups h3{font-size:14px;margin:0 0 6px;color:#5b6876} .groups td,.groups th{padding:3px 9px;font-size:13px}
+.plain{background:#fff;border:1px solid #e1e6eb;border-radius:10px;overflow:auto}
+.left{text-align:left} td small{color:#5b6876} details{margin-top:12px} summary{cursor:pointer;color:#1f6f8b}
+details .plain{margin-top:8px} details td,details th{font-size:13px;padding:3px 12px}
 pre{background:#fff;border:1px solid #e1e6eb;border-radius:10px;padding:12px;overflow:auto;font-size:13px}
 """
 
@@ -175,6 +180,50 @@ def _video(path, caption):
     )
 
 
+_BETTER = {"up": "&uarr;", "down": "&darr;", "": "&ndash;"}
+
+
+def _figure(value):
+    """Three digits, never as a power of ten."""
+    return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
+
+
+def _metric_rows(content, metrics, meaning):
+    """Rows of a table of `metrics`; meaning: whether with a column of what each is."""
+    rows = []
+    for metric in metrics:
+        value, interval, few = "&ndash;", "", ""
+        if metric.name in content["summary"]:
+            low, high = content["intervals"][metric.name]
+            value, interval = _figure(content["summary"][metric.name]), f"{_figure(low)} to {_figure(high)}"
+            entered, count = content["counts"][metric.name], len(content["episodes"])
+            few = f" <small>({entered} of {count} episodes)</small>" if entered < count else ""
+        what = f'<td class="left">{html.escape(metric.what)}</td>' if meaning else ""
+        rows.append(
+            f'<tr><td class="left" title="{html.escape(metric.what)}">{metric.name}{few}</td><td><b>{value}</b></td>'
+            f'<td>{interval}</td><td class="left">{metric.unit} {_BETTER[metric.better]}</td>{what}</tr>'
+        )
+    return "".join(rows)
+
+
+def _metric_tables(content):
+    """The groups after the score side by side, and folded away what every metric is, the minor ones among them."""
+    head = '<tr><th class="left">metric</th><th>mean</th><th>95% interval</th><th class="left">unit, better</th>'
+    groups = "".join(
+        f'<div><h3>{group.capitalize()}</h3><div class="plain"><table>{head}</tr>'
+        + _metric_rows(content, [m for m in METRICS if m.group == group and not m.minor], False)
+        + "</table></div></div>"
+        for group in GROUPS[1:]
+    )
+    return (
+        f'<div class="groups">{groups}</div><details><summary>All {len(METRICS)} metrics, and what each is</summary>'
+        f'<div class="plain"><table>{head}<th class="left">what</th></tr>'
+        f"{_metric_rows(content, METRICS, True)}</table></div>"
+        "<p class=sub>Infinite values (nobody there, goal not reached, on no collision course) don't enter a mean. "
+        "Space shares contain one another: who is within 0.45 m is within 1.2 m too. After Francis et al. 2023.</p></details>"
+    )
+
+
 def make_report(content, episodes, videos=(), no_video=""):
     """The page as text.
 
@@ -211,6 +260,7 @@ def make_report(content, episodes, videos=(), no_video=""):
 <div class="top"><div class="head"><small>Socially-aware navigation score</small><b>{summary["SNS"]:.1f}</b>
 <small>of 100 &nbsp; 95% interval {low:.1f} to {high:.1f}</small></div><div class="cards">{cards}</div></div>
 <p class="sub">SNS = mean of RC &middot; 0.95<sup>Coll</sup> &middot; (50 PE + 50 SP) over the episodes.</p>
+<h2>Safety, comfort, efficiency</h2>{_metric_tables(content)}
 <h2>Films</h2>{films or '<p class="sub">None were asked for.</p>'}
 <h2>Ways, from the worst episode to the best</h2>
 {_image(plot_trajectories(episodes), "Robot black, from the dot to the star; people coloured by LCF, a disc where they ended.")}

@@ -35,6 +35,11 @@ class RobotConfig:
     half_width: float = 0.2078  # [m]
     spawn_height: float = 0.060  # of the robot's frame above the ground when it stands still [m]
 
+    @property
+    def radius(self):
+        """Of the circle around the footprint [m]."""
+        return float(np.hypot(self.half_length, self.half_width))
+
 
 def add_robot(spec: mujoco.MjSpec, name="robot") -> None:
     """Attach a Jackal to the world of `spec`, under a free joint `name`; its elements are called `name/...`.

@@ -7,6 +7,7 @@ from bson.metrics import Episode
 from bson.task import TaskConfig
 from bson.world import World
 from macid.reward import individual_reward
+from macid.routing import Router
 
 INFO = (
     "seed",
@@ -18,6 +19,7 @@ INFO = (
     "travelled",
     "collisions",
     "collisions_person",
+    "collisions_robot_on_person",
     "collisions_obstacle",
     "collisions_wall",
     "nearest_person",
@@ -92,7 +94,8 @@ class Recorder:
 
     def __init__(self, session, index):
         self._world, self._index = session.world, index
-        self._rows = {name: [] for name in ("pose", "velocity", "people", "qpos", "nearest_person", "collisions")}
+        recorded = ("pose", "velocity", "people", "people_velocity", "qpos", "nearest_person", "collisions")
+        self._rows = {name: [] for name in recorded}
         self.snap()
 
     def snap(self):
@@ -107,14 +110,27 @@ class Recorder:
         return Episode(
             seed=int(world.seed[index]),
             start_distance=float(world.start_distance[index]),
+            shortest=self._shortest(),
             final_distance=float(world.distance[index]),
             travelled=float(world.travelled[index]),
             duration=float(world.time[index]),
             arrived=bool(world.arrived[index]),
+            timed_out=bool(world.steps[index] >= world.config.horizon and not world.arrived[index]),
             **counts,
             goal=world.goal[index].copy(),
             boxes=world.boxes[index].copy(),
             lcf=world.lcf[index].copy(),
             period=world.config.control_period,
+            robot_radius=world.config.robot.radius,
             **{_RECORDED.get(name, name): np.array(rows) for name, rows in self._rows.items()},
         )
+
+    def _shortest(self):
+        """Length [m] of the router's shortest way for the robot, or of the straight one where it finds none."""
+        world, index = self._world, self._index
+        start, goal = self._rows["pose"][0][:2], world.goal[index]
+        try:
+            way = Router(world.layouts[index], world.config.robot.radius).path(start, goal)
+        except ValueError:  # a passage may be wider than the robot and narrower than a grid can tell
+            way = goal[None]
+        return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())

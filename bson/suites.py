@@ -1,30 +1,73 @@
-"""Frozen sets of episodes: assets/suites/NAME.toml."""
+"""Frozen sets of episodes: assets/suites/NAME.toml.
+
+A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes of
+the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
+"""
 
 import dataclasses
+import hashlib
+import itertools
+import json
 import tomllib
 
 from bson.task import TaskConfig
 from macid import assets
+from macid.maps import load_map
 
 _SEED_STRIDE = 1_000_000  # between the episodes of --seed S and of --seed S + 1
 
 
 @dataclasses.dataclass(frozen=True)
+class Cell:
+    """One setting of a suite. grades: ((axis, grade), ...), none where the suite has one cell only."""
+
+    grades: tuple[tuple[str, str], ...]
+    config: TaskConfig
+
+    @property
+    def name(self):
+        """The grades' names, or "all"."""
+        return ", ".join(grade for _, grade in self.grades) or "all"
+
+
+@dataclasses.dataclass(frozen=True)
 class Suite:
-    """Episodes to be judged by: one configuration, and a seed an episode."""
+    """Episodes to be judged by: cells, each with the same seeds."""
 
     name: str
     description: str
-    config: TaskConfig
+    cells: tuple[Cell, ...]
     seeds: tuple[int, ...]
 
+    @property
+    def axes(self):
+        """{axis: its grades, in order}."""
+        found = {}
+        for cell in self.cells:
+            for axis, grade in cell.grades:
+                found.setdefault(axis, dict.fromkeys([]))[grade] = None
+        return {axis: list(grades) for axis, grades in found.items()}
+
+    @property
+    def digest(self):
+        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal digits."""
+        content = [self.seeds]
+        for cell in self.cells:
+            layout = load_map(cell.config.map) if cell.config.map else None
+            drawn = layout and [layout.size, layout.obstacles.tolist(), layout.routed]
+            drawn = drawn and [*drawn, {name: rows.tolist() for name, rows in layout.regions.items()}]
+            drawn = drawn and [*drawn, [route.tolist() for route in layout.routes]]
+            content.append([cell.grades, dataclasses.asdict(cell.config), drawn])
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
     def drawn(self, episodes=None, seed=0):
-        """The seeds of the first `episodes` (default: all). seed: 0 for the frozen set, else another set of the kind.
+        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set of
+        the kind.
 
         Raises ValueError when the suite has fewer episodes.
         """
         if episodes is not None and not 1 <= episodes <= len(self.seeds):
-            raise ValueError(f"Suite '{self.name}' has 1 to {len(self.seeds)} episodes, not {episodes}.")
+            raise ValueError(f"Suite '{self.name}' has 1 to {len(self.seeds)} episodes a cell, not {episodes}.")
         if seed < 0:
             raise ValueError(f"A seed must be at least 0, not {seed}.")
         return [s + _SEED_STRIDE * seed for s in self.seeds[:episodes]]
@@ -40,6 +83,12 @@ def load_suite(name):
     if name not in suite_names():
         raise ValueError(f"Unknown suite '{name}'. Choose one of {', '.join(suite_names())}.")
     fields = tomllib.loads(assets.path("suites", f"{name}.toml").read_text())
-    return Suite(
-        fields["name"], fields["description"], TaskConfig().replace(**fields["config"]), tuple(fields["seeds"])
-    )
+    base = TaskConfig().replace(**fields["config"])
+    axes = [
+        [(axis, grade, changes) for grade, changes in grades.items()] for axis, grades in fields.get("axes", {}).items()
+    ]
+    cells = []
+    for combination in itertools.product(*axes):
+        changes = {key: value for _, _, each in combination for key, value in each.items()}
+        cells.append(Cell(tuple((axis, grade) for axis, grade, _ in combination), base.replace(**changes)))
+    return Suite(fields["name"], fields["description"], tuple(cells), tuple(fields["seeds"]))

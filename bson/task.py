@@ -6,14 +6,17 @@ import typing
 import numpy as np
 
 from bson.robot import RobotConfig
-from macid import layout as maps
-from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout
+from macid import layout as layouts
+from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
+from macid.maps import load_map
 from macid.reward import RewardWeights
+from macid.routing import Router
 from macid.state import PHYSICS_STEP
 
 PEDESTRIANS = 24  # the paper's, sec. VI-D
 MAX_PEDESTRIANS = 2000
 _START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
+_ROUTE_WIDTH = 2.0  # beside a route people begin [m]
 _GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
 
 
@@ -28,9 +31,11 @@ class TaskConfig:
     num_pedestrians: int | None = None
     pedestrian_density: float | None = None  # in [0, 1]
     obstacle_density: float = 0.0  # in [0, 1]: share of a maze's walls that stand
-    pedestrian_model: str = "macid"
-    lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each pedestrian's LCF is drawn
+    pedestrian_model: str | tuple = "macid"  # or {name: share}: each pedestrian's is drawn by these shares
+    lcf: tuple[float, float] = (-2.0, 2.0)  # a number, or the range from which each pedestrian's LCF is drawn
+    lcf_each: tuple[float, ...] | None = None  # instead, one LCF for each pedestrian
     map_size: float = MAP_SIZE
+    map: str | None = None  # a map's name or file (macid.maps) instead of a maze; it brings its own size
     control_period: float = 0.1  # between the robot's decisions
     pedestrian_period: float = 0.1  # between the pedestrians' decisions; at most the control period
     horizon: int = 1000  # control steps until truncation
@@ -45,6 +50,12 @@ class TaskConfig:
         object.__setattr__(self, "goal_distance", _pair("goal_distance", self.goal_distance))
         if self.num_pedestrians is not None and self.pedestrian_density is not None:
             raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
+        if self.map is not None:
+            if not isinstance(self.map, str):
+                raise ValueError(f"map must be a name or a file, not {self.map!r}.")
+            if self.obstacle_density:
+                raise ValueError(f"Map '{self.map}' has its own obstacles: leave obstacle_density at 0.")
+            object.__setattr__(self, "map_size", load_map(self.map).size)
         count = self.num_pedestrians
         if count is not None and not (_is_whole(count) and 0 <= count <= MAX_PEDESTRIANS):
             raise ValueError(
@@ -68,18 +79,28 @@ class TaskConfig:
         if self.control_period > 10.0:
             raise ValueError(f"control_period must be at most 10 s, not {self.control_period!r}.")
         _multiple("control_period", self.control_period, "pedestrian_period", self.decision_period)
-        if not isinstance(self.pedestrian_model, str):
-            raise ValueError(f"pedestrian_model must be a name, not {self.pedestrian_model!r}.")
+        object.__setattr__(self, "pedestrian_model", _models(self.pedestrian_model))
+        if self.lcf_each is not None:
+            object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
         for name, kind in (("reward", RewardWeights), ("robot", RobotConfig)):
             object.__setattr__(self, name, _as_dataclass(name, getattr(self, name), kind))
-        make_controller(self.pedestrian_model, self.decision_period)
+        for name in self.model_shares:
+            make_controller(name, self.decision_period)
+
+    @property
+    def model_shares(self):
+        """{pedestrian model: share}; the shares sum to 1."""
+        return {self.pedestrian_model: 1.0} if isinstance(self.pedestrian_model, str) else dict(self.pedestrian_model)
 
     @property
     def people(self):
         """The number of pedestrians."""
         if self.pedestrian_density is not None:
-            return maps.person_count(self.pedestrian_density, self.map_size)
-        return PEDESTRIANS if self.num_pedestrians is None else self.num_pedestrians
+            return layouts.person_count(self.pedestrian_density, self.map_size)
+        if self.num_pedestrians is not None:
+            return self.num_pedestrians
+        own = load_map(self.map).pedestrians if self.map else None
+        return PEDESTRIANS if own is None else own
 
     @property
     def people_goal_distance(self):
@@ -138,6 +159,32 @@ def _pair(name, value):
     return float(least), float(most)
 
 
+def _models(value):
+    """A model's name, or ((name, share), ...) of a dict, the shares brought to a sum of 1. Raises ValueError."""
+    if isinstance(value, str):
+        return value
+    try:
+        shares = dict(value)
+    except (TypeError, ValueError):
+        shares = {}
+    good = all(isinstance(name, str) and _is_number(share) and share >= 0 for name, share in shares.items())
+    if not shares or not good or sum(shares.values()) <= 0:
+        raise ValueError(f"pedestrian_model must be a name or {{name: share, ...}}, not {value!r}.")
+    total = sum(shares.values())
+    return tuple((name, share / total) for name, share in shares.items())
+
+
+def _each(values, people):
+    """One LCF for each of `people` pedestrians. Raises ValueError."""
+    try:
+        values = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        values = ()
+    if len(values) != people or not np.isfinite(values).all():
+        raise ValueError(f"lcf_each must be {people} numbers, one for each pedestrian.")
+    return values
+
+
 def _as_dataclass(name, value, kind):
     """`value`, or the `kind` that a dict of its fields stands for. Raises ValueError, naming the fields."""
     if isinstance(value, kind):
@@ -162,33 +209,85 @@ class Spawn(typing.NamedTuple):
     people: np.ndarray  #: (K, 3) x, y, yaw
     people_goals: np.ndarray  #: (K, 2)
     lcf: np.ndarray  #: (K,)
+    models: np.ndarray  #: (K,) each person's place among the config's model_shares
 
 
 def spawn(config: TaskConfig, rng) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
-    The robot faces its goal. Raises macid.layout.NoFreeSpace where the map has no room.
+    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and head
+    for one of its ends, from a region for the far one. Raises
+    macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
     """
-    layout = maps.maze_layout(rng, config.obstacle_density, config.map_size)
-    gap = _GOAL_CLEARANCE
-    for _ in range(50):  # a start in the middle of a small map has no goal far enough
-        start = maps.sample_people(rng, layout, 1, gap=gap)
-        try:
-            goal = maps.sample_goals(rng, layout, start, config.goal_distance, gap=gap)[0]
-            break
-        except maps.NoFreeSpace as error:
-            failure = error
+    if config.map is None:
+        layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)
     else:
-        raise failure
-    people = maps.sample_people(rng, layout, config.people, taken=start, keep_off=_START_CLEARANCE)
-    people = people.reshape(-1, 2)
+        layout = load_map(config.map)
+    start, goal = _robot_ends(config, layout, rng)
+    people, people_goals = _people_ends(config, layout, rng, start)
     towards = goal - start[0]
-    people_goals = maps.sample_goals(rng, layout, people, config.people_goal_distance)
+    yaw = rng.uniform(-np.pi, np.pi, (len(people), 1))
+    lcf = rng.uniform(*config.lcf, len(people))
+    shares = list(config.model_shares.values())
     return Spawn(
         layout,
         np.array([*start[0], np.arctan2(towards[1], towards[0])]),
         goal,
-        np.concatenate([people, rng.uniform(-np.pi, np.pi, (len(people), 1))], axis=-1),
+        np.concatenate([people, yaw], axis=-1),
         people_goals,
-        rng.uniform(*config.lcf, len(people)),
+        lcf if config.lcf_each is None else np.array(config.lcf_each),
+        rng.choice(len(shares), len(people), p=shares) if len(shares) > 1 else np.zeros(len(people), int),
     )
+
+
+def _robot_ends(config, layout, rng):
+    """The robot's start (1, 2) and goal (2,) [m]."""
+    router = Router(layout, config.robot.radius) if config.map else None  # a maze is connected
+    gap, regions = _GOAL_CLEARANCE, layout.regions
+    for _ in range(50):  # a start in the middle of a small map has no goal far enough
+        start = layouts.sample_people(rng, layout, 1, gap=gap, region=regions.get("robot_start"))
+        try:
+            goal = layouts.sample_goals(
+                rng, layout, start, config.goal_distance, gap=gap, region=regions.get("robot_goal")
+            )[0]
+        except NoFreeSpace as error:
+            failure = error
+            continue
+        try:
+            if router is not None:
+                router.path(start[0], goal)
+            return start, goal
+        except ValueError as error:
+            failure = NoFreeSpace(f"The robot can't reach its goal. {error}")
+    raise failure
+
+
+def _people_ends(config, layout, rng, robot):
+    """Where people begin (K, 2) and where they go (K, 2) [m]."""
+    regions = layout.regions
+    if not layout.routes:
+        people = layouts.sample_people(
+            rng, layout, config.people, taken=robot, keep_off=_START_CLEARANCE, region=regions.get("people_start")
+        ).reshape(-1, 2)
+        return people, layouts.sample_goals(
+            rng, layout, people, config.people_goal_distance, region=regions.get("people_goal")
+        )
+    people, goals = np.empty((config.people, 2)), np.empty((config.people, 2))
+    taken = robot
+    for number, route in enumerate(layout.routes):
+        who = np.arange(number, config.people, len(layout.routes))
+        middle, along = (route[1:] + route[:-1]) / 2, route[1:] - route[:-1]
+        length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
+        beside = np.full(len(along), _ROUTE_WIDTH / 2)
+        strips = np.stack([*middle.T, length / 2, beside, np.arctan2(along[:, 1], along[:, 0])], axis=-1)
+        region = regions.get("people_start")
+        people[who] = layouts.sample_people(
+            rng, layout, len(who), taken=taken, keep_off=_START_CLEARANCE, region=strips if region is None else region
+        ).reshape(-1, 2)
+        taken = np.concatenate([taken, people[who]])
+        end = rng.integers(0, 2, len(who))
+        if region is not None:  # from there to the far end
+            far = np.linalg.norm(people[who, None] - route[[0, -1]], axis=-1)
+            end = far.argmax(axis=-1)
+        goals[who] = route[end * (len(route) - 1)]
+    return people, goals

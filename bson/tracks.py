@@ -5,7 +5,8 @@ import dataclasses
 import gymnasium
 import numpy as np
 
-from bson.sensors import Imu, Lidar2D
+from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
+from bson.world import MAP_RESOLUTION
 from macid import geometry
 
 
@@ -43,14 +44,57 @@ class LocalTrack:
         }
 
 
-TRACKS = {("local", "lidar2d"): LocalTrack(sensors=(Imu(), Lidar2D()))}
+@dataclasses.dataclass(frozen=True)
+class GlobalTrack(LocalTrack):
+    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people are."""
+
+    def space(self, config):
+        """The observation space of one world."""
+        half, cells = config.map_size / 2, round(config.map_size / MAP_RESOLUTION)
+        box = gymnasium.spaces.Box
+        reach = np.array([2 * half, 2 * half, np.pi], np.float32)  # twice the map: a push may lift somebody over a wall
+        return gymnasium.spaces.Dict(
+            {
+                **super().space(config).spaces,
+                "map": box(0, 1, (cells, cells), np.uint8),
+                "map_origin": box(-half, half, (2,), np.float32),
+                "map_resolution": box(0.0, np.float32(2 * MAP_RESOLUTION), (1,), np.float32),
+                "pose": box(-reach, reach, dtype=np.float32),
+                "people": box(-2 * half, 2 * half, (config.people, 2), np.float32),
+            }
+        )
+
+    def observe(self, world, ids):
+        """As LocalTrack.observe."""
+        half = world.config.map_size / 2
+        return {
+            **super().observe(world, ids),
+            "map": np.stack([world.occupancy(index) for index in ids]).astype(np.uint8),
+            "map_origin": np.full((len(ids), 2), -half, np.float32),
+            "map_resolution": np.full((len(ids), 1), MAP_RESOLUTION, np.float32),
+            "pose": np.concatenate(
+                [
+                    np.clip(world.pose[ids, :2], -2 * half, 2 * half),
+                    geometry.wrap_angle(world.pose[ids, 2:]).clip(-np.float32(np.pi), np.float32(np.pi)),
+                ],
+                axis=-1,
+            ).astype(np.float32),
+            "people": np.clip(world.people[ids, :, :2], -2 * half, 2 * half).astype(np.float32),
+        }
+
+
+SENSORS = {
+    "lidar2d": (Imu(), Lidar2D()),
+    "lidar3d": (Imu(), Lidar3D()),
+    "camera": (Imu(), RgbCamera(), DepthCamera()),
+}
+TRACKS = {"local": LocalTrack, "global": GlobalTrack}
 
 
 def make_track(track, sensor):
-    """The track and sensor set of these names. Raises ValueError, naming the valid ones."""
-    tracks, sensors = sorted({t for t, _ in TRACKS}), sorted({s for _, s in TRACKS})
-    if track not in tracks:
-        raise ValueError(f"Unknown track '{track}'. Choose {' or '.join(map(repr, tracks))}.")
-    if sensor not in sensors:
-        raise ValueError(f"Unknown sensor '{sensor}'. Choose {' or '.join(map(repr, sensors))}.")
-    return TRACKS[track, sensor]
+    """The track `track` ("local" or "global") with the sensor set `sensor`. Raises ValueError, naming the valid ones."""
+    if track not in TRACKS:
+        raise ValueError(f"Unknown track {track!r}. Choose {' or '.join(map(repr, sorted(TRACKS)))}.")
+    if sensor not in SENSORS:
+        raise ValueError(f"Unknown sensor {sensor!r}. Choose {' or '.join(map(repr, sorted(SENSORS)))}.")
+    return TRACKS[track](SENSORS[sensor])

@@ -6,6 +6,7 @@ much, and pedestrians decide by one compiled program a world, since a vectorised
 """
 
 import copy
+import functools
 import os
 
 import jax
@@ -15,20 +16,28 @@ import mujoco.batch
 import numpy as np
 
 from bson import robot
+from bson.renderer import Renderer
 from bson.task import TaskConfig, spawn
 from macid import geometry, layout, physics, scene
+from macid.maps import load_map
 from macid.pedestrians import make_controller
-from macid.routing import Router
-from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
+from macid.routing import Router, occupancy_grid, rest_of_route
+from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
 
+APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
+MAP_RESOLUTION = 0.25  # of the occupancy map [m]
 _FAR = np.inf
+_KINDS = ("person", "robot_on_person", "obstacle", "wall")  # of collisions
 _CLOSING_SPEED = 10.0  # that no robot and person exceed [m/s]
 _jax_process = None  # the process in which pedestrians first decided
 
 
 def build_model(config: TaskConfig, sensors):
     """The MjModel of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
-    example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
+    if config.map is None:
+        example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
+    else:
+        example = load_map(config.map)
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
     scene.add_boxes(spec, example.boxes, movable=True)
@@ -38,9 +47,15 @@ def build_model(config: TaskConfig, sensors):
     return spec.compile()
 
 
-def _way(router, place, goal):
-    """Waypoints (W, 2) [m] from `place` to `goal`, the goal last; straight where there is no router."""
-    return goal[None] if router is None else router.path(place, goal)
+def _way(layout, router, person, place, goal):
+    """Waypoints (W, 2) [m] of `person` from `place` to `goal`, the goal last: along its route, if the map has routes, and
+    around obstacles, if there is a router."""
+    stops = goal[None]
+    if layout.routes:
+        stops = rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
+    if router is None:
+        return stops
+    return np.concatenate([router.path(*ends) for ends in zip([place, *stops[:-1]], stops, strict=True)])
 
 
 def _refuse_forked_jax():
@@ -62,12 +77,16 @@ class World:
     seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m];
     start_distance, distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps;
     arrived: bool; nearest_person: surface to surface [m];
-    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,); and counts of physics steps (0.02 s) in which the
-    robot touched anything (collisions), a person, an obstacle, an outer wall.
+    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,), models (K,): which of the config's; and counts of physics steps (0.02 s) in which the
+    robot touched anything (collisions), a person, an obstacle, an outer wall; and, of those with a person, in which it
+    moved towards whom it touched at more than APPROACH (collisions_robot_on_person).
     """
 
     def __init__(self, config: TaskConfig, nworld=1, sensors=(), nthread=0):
         self.config, self.nworld, self.sensors = config, nworld, tuple(sensors)
+        if len({sensor.key for sensor in self.sensors}) < len(self.sensors):
+            raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
+        self._every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
         self.scene = build_model(config, self.sensors)  # as it looks
         model = copy.copy(self.scene)
         for index in range(model.nmat):  # rays don't see the robot's own paint: a real scanner masks its robot
@@ -76,33 +95,44 @@ class World:
         self.model = model
         self.batch = mujoco.batch.Batch(model, nworld, nthread)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        self._ctrl, self._sensordata = self.batch.bind("ctrl"), self.batch.bind("sensordata")
+        self._ctrl = self.batch.bind("ctrl")
         self._mocap_pos, self._mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
         # Sensors are computed once a control step, not in each physics step.
         self._flags = self.batch.expand("opt.disableflags")
         self._sensors_on = int(model.opt.disableflags)
         self._sensors_off = self._sensors_on | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        self._readers = {sensor.key: sensor.bind(model) for sensor in self.sensors}
+        self._readers = [sensor.bind(self) for sensor in self.sensors]
+        self._noise = [[None] * nworld for _ in self.sensors]  # their Generators; each episode has its own
+        self.sensed = 0  # how often sensors were read
 
         k = config.people
         self._people = slice(0, 3 * k)
         self._robot_qpos, self._robot_qvel = slice(3 * k, 3 * k + 7), slice(3 * k, 3 * k + 6)
         self._robot_ctrl = slice(3 * k, 3 * k + 4)
         self.layouts = [None] * nworld
+        self._occupancy = [None] * nworld
         self.boxes = np.zeros((nworld, model.nmocap, 5))
         self.people_goals = np.zeros((nworld, k, 2))  # where each heads now: the next waypoint, or the goal
         self._routes = [[] for _ in range(nworld)]  # for each person, the waypoints after that
         self._routers, self._rngs = [None] * nworld, [None] * nworld
         self.seed = np.zeros(nworld, np.int64)
-        self.lcf = np.zeros((nworld, k))
+        self.lcf, self.models = np.zeros((nworld, k)), np.zeros((nworld, k), int)
         self.goal, self.pose, self.velocity = np.zeros((nworld, 2)), np.zeros((nworld, 3)), np.zeros((nworld, 2))
         for name in ("start_distance", "distance", "travelled", "time", "nearest_person"):
             setattr(self, name, np.zeros(nworld))
-        for name in ("steps", "collisions", "collisions_person", "collisions_obstacle", "collisions_wall"):
+        for name in ("steps", "collisions", *(f"collisions_{kind}" for kind in _KINDS)):
             setattr(self, name, np.zeros(nworld, np.int64))
         self.arrived = np.zeros(nworld, bool)
-        self.readings = {sensor.key: np.zeros((nworld, *sensor.space.shape), np.float32) for sensor in self.sensors}
-        self._decide = self._compile_decision(make_controller(config.pedestrian_model, config.decision_period))
+        self.readings = {
+            sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self.sensors
+        }
+        controllers = [make_controller(name, config.decision_period) for name in config.model_shares]
+        self._decide = self._compile_decision(controllers)
+
+    @functools.cached_property
+    def renderer(self):
+        """Draws what cameras see. Raises macid.drawing.Unavailable without OpenGL."""
+        return Renderer(self.model)
 
     def begun(self, ids):
         """Whether all of the worlds `ids` have had a reset."""
@@ -123,6 +153,13 @@ class World:
         """(nworld, nq): the whole configuration, for films."""
         return self._qpos
 
+    def occupancy(self, index):
+        """The map of a world: whether something solid reaches each cell's centre, (rows, columns) bool; made once an
+        episode. Cells have a side of MAP_RESOLUTION [m]; row 0 is the lowest, column 0 the leftmost."""
+        if self._occupancy[index] is None:
+            self._occupancy[index] = occupancy_grid(self.layouts[index], MAP_RESOLUTION, radius=0.0)
+        return self._occupancy[index]
+
     def reset(self, ids, seeds):
         """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
         ids = np.asarray(ids, dtype=int)
@@ -132,24 +169,33 @@ class World:
             s = spawn(self.config, rng)
             router = Router(s.layout) if s.layout.routed else None
             drawn.append(
-                (s, router, [_way(router, *ends) for ends in zip(s.people[:, :2], s.people_goals, strict=True)])
+                (
+                    s,
+                    router,
+                    [
+                        _way(s.layout, router, person, *ends)
+                        for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
+                    ],
+                )
             )
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         for index, seed, rng, (s, router, ways) in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
-            self.layouts[index], self._routers[index] = s.layout, router
+            self.layouts[index], self._routers[index], self._occupancy[index] = s.layout, router, None
             boxes = self.boxes[index] = s.layout.boxes
             self._mocap_pos[index, :, :2] = boxes[:, :2]
             self._mocap_quat[index] = geometry.yaw_quaternion(boxes[:, 4])
             self._qpos[index, self._people] = s.people.ravel()
             self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
-            self.goal[index], self.lcf[index] = s.goal, s.lcf
+            self.goal[index], self.lcf[index], self.models[index] = s.goal, s.lcf, s.models
             self._routes[index] = [way[1:] for way in ways]
             self.people_goals[index] = np.reshape([way[0] for way in ways], (-1, 2))
             self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
+            for sensor, generators in zip(self.sensors, self._noise, strict=True):
+                generators[index] = sensor.generator(int(seed)) if sensor.noise else None
         for counter in ("travelled", "time", "steps", "collisions"):
             getattr(self, counter)[ids] = 0
-        for kind in ("person", "obstacle", "wall"):
+        for kind in _KINDS:
             getattr(self, f"collisions_{kind}")[ids] = 0
         self._sense(ids)
 
@@ -168,12 +214,12 @@ class World:
         self.time[ids] = np.round(self.steps[ids] * self.config.control_period, 9)
         self._sense(ids)
 
-    def _compile_decision(self, controller):
+    def _compile_decision(self, controllers):
         """The pedestrians' decision in one world, jitted; the robot is one more disc, last in the state."""
         k = self.config.people
 
         def decide(packed, boxes):
-            pose, rate, robot_row, goals, lcf = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k]))
+            pose, rate, robot_row, goals, lcf, models = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k, k]))
             pose, rate = pose.reshape(k, 3), rate.reshape(k, 3)
             position = jnp.concatenate([pose[:, :2], robot_row[None, :2]])
             state = CrowdState(
@@ -185,7 +231,11 @@ class World:
             )
             ahead = position[-1:] + robot_row[None, 3:5]  # where the robot wants to go, as far as people can tell
             goals = jnp.concatenate([goals.reshape(k, 2), ahead])
-            return controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k].ravel()
+            commands = [controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k] for controller in controllers]
+            command = commands[0]
+            for number, other in enumerate(commands[1:], start=1):
+                command = jnp.where((models == number)[:, None], other, command)
+            return command.ravel()
 
         return jax.jit(decide)
 
@@ -196,7 +246,7 @@ class World:
         robot_qvel = qvel[:, self._robot_qvel]
         pose = robot.planar_pose(qpos[:, self._robot_qpos])
         rows = [qpos[:, self._people], qvel[:, self._people], pose, robot_qvel[:, :2], robot_qvel[:, 5:]]
-        rows += [self.people_goals[ids].reshape(len(ids), -1), self.lcf[ids]]
+        rows += [self.people_goals[ids].reshape(len(ids), -1), self.lcf[ids], self.models[ids]]
         packed, boxes = np.concatenate(rows, axis=-1).astype(np.float32), self.boxes[ids].astype(np.float32)
         commands = [self._decide(*row) for row in zip(packed, boxes, strict=True)]
         for index, command in zip(ids, commands, strict=True):
@@ -207,15 +257,21 @@ class World:
 
         Who finds none (crowded into a corner of a small map) stays, and asks again at the next decision.
         """
-        places = self.people[index, who, :2]
+        places, map_layout = self.people[index, who, :2], self.layouts[index]
         try:
-            goals = layout.sample_goals(
-                self._rngs[index], self.layouts[index], places, self.config.people_goal_distance
-            )
+            if map_layout.routes:  # back to the other end
+                ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
+                goals = [
+                    pair[((pair - place) ** 2).sum(axis=-1).argmax()] for pair, place in zip(ends, places, strict=True)
+                ]
+            else:
+                region = map_layout.regions.get("people_goal")
+                distance = self.config.people_goal_distance
+                goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region)
         except layout.NoFreeSpace:
             return
         for person, place, goal in zip(who, places, goals, strict=True):
-            way = _way(self._routers[index], place, goal)
+            way = _way(map_layout, self._routers[index], person, place, goal)
             self.people_goals[index, person], self._routes[index][person] = way[0], way[1:]
 
     def _advance_people(self, ids):
@@ -238,28 +294,36 @@ class World:
         poses = robot.planar_pose(qpos[..., self._robot_qpos])
         way = np.diff(np.concatenate([before[:, None], poses], axis=1)[..., :2], axis=1)
         self.travelled[ids] += np.hypot(way[..., 0], way[..., 1]).sum(axis=-1)
-        person = np.zeros(poses.shape[:2], bool)
+        person, towards = np.zeros((2, *poses.shape[:2]), bool)
         near = np.flatnonzero(self.nearest_person[ids] <= _CLOSING_SPEED * self.config.control_period)
         if len(near):  # the others can't have met anybody since the last look
-            person[near] = self._person_gaps(poses[near], qpos[near]).min(axis=-1, initial=_FAR) <= CONTACT_GAP
+            touched = self._person_gaps(poses[near], qpos[near]) <= CONTACT_GAP
+            person[near] = touched.any(axis=-1)
+            offset = self._people_in(qpos[near]) - poses[near, :, None, :2]
+            closing = (way[near, :, None] * offset).sum(axis=-1) > APPROACH * PHYSICS_STEP * geometry.norm(offset)
+            towards[near] = (touched & closing).any(axis=-1)
         solid = self._box_contacts(ids, poses)
         wall, obstacle = solid[..., :4].any(axis=-1), solid[..., 4:].any(axis=-1)
         self.collisions[ids] += (person | wall | obstacle).sum(axis=-1)
         self.collisions_person[ids] += person.sum(axis=-1)
+        self.collisions_robot_on_person[ids] += towards.sum(axis=-1)
         self.collisions_wall[ids] += wall.sum(axis=-1)
         self.collisions_obstacle[ids] += obstacle.sum(axis=-1)
 
+    def _people_in(self, qpos):
+        """Places (..., K, 2) [m] of the people in `qpos` (..., nq)."""
+        return qpos[..., self._people].reshape(*qpos.shape[:-1], -1, 3)[..., :2]
+
     def _person_gaps(self, poses, qpos):
         """Surface gaps [m] between the robot's footprint at `poses` (..., 3) and the people of `qpos` (..., nq): (..., K)."""
-        people = qpos[..., self._people].reshape(*qpos.shape[:-1], -1, 3)[..., :2]
         box = robot.footprint(poses, self.config.robot)[..., None, None, :]
-        return geometry.point_box_distance(people, box)[..., 0] - RADIUS
+        return geometry.point_box_distance(self._people_in(qpos), box)[..., 0] - RADIUS
 
     def _box_contacts(self, ids, poses):
         """Whether the footprint at `poses` (n, s, 3) touches each box of the worlds `ids`: (n, s, B)."""
         box = robot.footprint(poses, self.config.robot)
         boxes = np.broadcast_to(self.boxes[ids][:, None], (*poses.shape[:2], *self.boxes.shape[1:]))
-        reach = np.hypot(self.config.robot.half_length, self.config.robot.half_width) + CONTACT_GAP
+        reach = self.config.robot.radius + CONTACT_GAP
         close = geometry.point_box_distance(poses[..., :2], boxes) <= reach
         contacts = np.zeros(close.shape, bool)
         rows, steps, which = np.nonzero(close)
@@ -281,6 +345,13 @@ class World:
         self.distance[ids] = np.hypot(offset[:, 0], offset[:, 1])
         self.arrived[ids] = self.distance[ids] <= GOAL_RADIUS
         self.nearest_person[ids] = self._person_gaps(self.pose[ids], qpos).min(axis=-1, initial=_FAR)
-        sensordata = self._sensordata[ids]
-        for key, read in self._readers.items():
-            self.readings[key][ids] = read(sensordata)
+        self.sensed += 1
+        for sensor, every, read, noise in zip(self.sensors, self._every, self._readers, self._noise, strict=True):
+            due = ids[self.steps[ids] % every == 0]
+            if not len(due):
+                continue
+            readings = read(self, due)
+            if sensor.noise:
+                for row, index in enumerate(due):
+                    readings[row] = sensor.noisy(readings[row], noise[index])
+            self.readings[sensor.key][due] = readings

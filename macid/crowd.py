@@ -9,6 +9,7 @@ import numpy as np
 
 from macid import geometry, physics, scene
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
+from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, parking_place
 
 
@@ -63,6 +64,15 @@ class Episode(NamedTuple):
     stalled: Any  #: time below STALLED [s]
 
 
+class Outcome(NamedTuple):
+    """What one decision brought; leading axes (nworld, K)."""
+
+    state: Any  #: CrowdState after it, with who arrived still in place
+    arrived: Any  #: bool: in this decision, and so left the map
+    individual: Any  #: reward of eq. 5; 0 for who had left before
+    neighborhood: Any  #: eq. 1 over those on the map when it began; 0 for who had left before
+
+
 def _position(state, episode):
     return state.position
 
@@ -100,6 +110,10 @@ class Crowd:
 
     def step(self, episode: Episode, command) -> Episode:
         """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
+        return self.transition(episode, command)[0]
+
+    def transition(self, episode: Episode, command, weights=RewardWeights()) -> tuple[Episode, Outcome]:
+        """`step`, and what it brought, with rewards by `weights` (a collision: any contact during the decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
         first = before = self.engine.read(state)
@@ -112,7 +126,11 @@ class Crowd:
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
         away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)
-        return episode._replace(
+        closer = geometry.norm(episode.goals - first.position) - geometry.norm(episode.goals - after.position)
+        individual = individual_reward(closer, arrived, collisions > episode.collisions, weights) * walking
+        near = neighbors(after.position) & episode.walking[..., None, :] & episode.walking[..., :, None]
+        shared = neighborhood_mean(individual[..., None], near)[..., 0]
+        following = episode._replace(
             physics=self.engine.place(state, arrived, away),
             walking=episode.walking & ~arrived,
             collisions=collisions,
@@ -122,6 +140,7 @@ class Crowd:
             turned=episode.turned + walking * jnp.abs(after.yaw_rate - first.yaw_rate),
             stalled=episode.stalled + walking * (speed < STALLED) * self.config.period,
         )
+        return following, Outcome(after, arrived, individual, shared)
 
     def rollout(self, episode: Episode, controller, steps=None, record=_position):
         """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and what

@@ -33,6 +33,7 @@ FIGURE_PARTS = 4  # shapes in a person's figure
 
 
 _open_stages = weakref.WeakSet()  # to be closed before the graphics library goes
+_gl_process = None  # the process in which OpenGL first drew
 
 
 class Unavailable(RuntimeError):
@@ -46,9 +47,9 @@ def gl_problem():
     except Unavailable as error:
         return str(error)
     try:
-        mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_100).free()
-    except mujoco.FatalError as error:
-        return f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl."
+        offscreen(mujoco.MjSpec().compile()).free()
+    except Unavailable as error:
+        return str(error)
     finally:
         context.free()
     return None
@@ -59,6 +60,12 @@ def gl_context(width, height):
 
     MuJoCo itself picks GLFW, which needs a display, when MUJOCO_GL is unset, and does so as soon as it is imported.
     """
+    global _gl_process
+    if _gl_process not in (None, os.getpid()):  # it would wait for ever for threads that are not there
+        raise Unavailable(
+            "This process was forked after its parent had drawn, and OpenGL does not survive that. Use processes by "
+            "spawn (context='spawn'), or gymnasium.make_vec(id, num_envs=N), which needs none."
+        )
     chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
     if chosen in ("disable", "disabled", "off", "false", "0"):
         raise Unavailable(f"Drawing is turned off by MUJOCO_GL={chosen}: unset it, or set MUJOCO_GL=egl.")
@@ -75,7 +82,26 @@ def gl_context(width, height):
             f"OpenGL can't draw here ({reason}). Install EGL (on Debian and Ubuntu: apt-get install libegl1 "
             "libgl1-mesa-dri) and set MUJOCO_GL=egl."
         ) from None
+    _gl_process = os.getpid()
     return context
+
+
+def offscreen(model):
+    """An MjrContext that draws `model` offscreen, in the OpenGL context that is current. Raises Unavailable."""
+    try:
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    except mujoco.FatalError as error:
+        raise Unavailable(f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl.") from None
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    return context
+
+
+def close_at_exit(stage):
+    """Has `stage.close()` called before the graphics library goes, if it is still there; call after `gl_context`."""
+    if not _open_stages:  # after EGL's own clean-up was registered, so that this one comes first
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)
+    _open_stages.add(stage)
 
 
 def _close_all():
@@ -127,12 +153,8 @@ class Stage:
         self._floor = model.geom("floor").id  # 0: the first in the scene, too
         self.data = mujoco.MjData(model)
         self._gl = gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
-        if not _open_stages:  # after EGL's own clean-up was registered, so that this one comes first
-            atexit.unregister(_close_all)
-            atexit.register(_close_all)
-        _open_stages.add(self)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        close_at_exit(self)
+        self._context = offscreen(model)
         self.scene = mujoco.MjvScene(model, model.ngeom + 4000)
         self._option = mujoco.MjvOption()
         self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False

@@ -17,6 +17,7 @@ MAX_PERSON_DENSITY = 0.08  # persons per m2 at pedestrian density 1: 200 on 50 x
 WALL_THICKNESS = 0.3  # [m]
 CORRIDOR = 5.0  # side of a maze's cell [m]
 GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
+REGIONS = ("robot_start", "robot_goal", "people_start", "people_goal")
 _TRIES = 300
 
 LEVELS = (1, 2, 3, 4)
@@ -32,7 +33,9 @@ class Layout:
     """A square map.
 
     size: side [m]. obstacles: (B, 5) rows of `geometry.BOX_COLUMNS`, without the outer walls. routed: whether people
-    need waypoints to find their way (mazes). pedestrians: how many people a level has, or None.
+    need waypoints to find their way (mazes). pedestrians: how many people a level has, or None. regions: where robots
+    and people begin and go, {name of REGIONS: boxes (N, 5)}; anywhere where a name is missing. routes: waypoints
+    (W, 2) [m] that pedestrians walk to and fro along, of each route; person p takes route p modulo their number.
     """
 
     size: float
@@ -40,23 +43,47 @@ class Layout:
     routed: bool = False
     pedestrians: int | None = None
     name: str = "layout"
+    regions: dict = dataclasses.field(default_factory=dict)
+    routes: tuple = ()
 
     def __post_init__(self):
         if not isinstance(self.size, numbers.Real) or not 0 < self.size < np.inf:
             raise ValueError(f"A layout's size must be positive, not {self.size!r}.")
-        wanted = f"Layout '{self.name}': obstacles need finite rows {geometry.BOX_COLUMNS}, halves above 0."
+        object.__setattr__(self, "obstacles", self._boxes("obstacles", self.obstacles))
+        if unknown := sorted(set(self.regions) - set(REGIONS)):
+            raise ValueError(f"Layout '{self.name}': unknown region '{unknown[0]}'. Choose among {', '.join(REGIONS)}.")
+        regions = {name: self._boxes(f"region {name}", rows) for name, rows in self.regions.items()}
+        if empty := [name for name, rows in regions.items() if not len(rows)]:
+            raise ValueError(f"Layout '{self.name}': region {empty[0]} has no box; leave it out for anywhere.")
+        object.__setattr__(self, "regions", regions)
+        routes = []
+        for route in self.routes:
+            try:
+                points = np.array(route, dtype=float)
+            except (TypeError, ValueError):
+                points = np.empty(0)
+            inside = points.ndim == 2 and points.shape[1] == 2 and len(points) > 1
+            if not (inside and np.isfinite(points).all() and (np.abs(points) <= self.size / 2).all()):
+                raise ValueError(f"Layout '{self.name}': a route needs two or more points (x, y) on the map.")
+            points.flags.writeable = False
+            routes.append(points)
+        object.__setattr__(self, "routes", tuple(routes))
+
+    def _boxes(self, what, rows):
+        """`rows` as an array (N, 5) of its own, checked."""
+        wanted = f"Layout '{self.name}': {what} need finite rows {geometry.BOX_COLUMNS}, halves above 0."
         try:
-            obstacles = np.array(self.obstacles, dtype=float)  # a copy: the caller's array stays the caller's
+            boxes = np.array(rows, dtype=float)  # a copy: the caller's array stays the caller's
         except (TypeError, ValueError):
             raise ValueError(wanted) from None
-        if not obstacles.size:
-            obstacles = obstacles.reshape(0, len(geometry.BOX_COLUMNS))
-        if obstacles.ndim != 2 or obstacles.shape[1] != len(geometry.BOX_COLUMNS):
+        if not boxes.size:
+            boxes = boxes.reshape(0, len(geometry.BOX_COLUMNS))
+        if boxes.ndim != 2 or boxes.shape[1] != len(geometry.BOX_COLUMNS):
             raise ValueError(wanted)
-        if not np.isfinite(obstacles).all() or (obstacles[:, 2:4] <= 0).any():
+        if not np.isfinite(boxes).all() or (boxes[:, 2:4] <= 0).any():
             raise ValueError(wanted)
-        obstacles.flags.writeable = False
-        object.__setattr__(self, "obstacles", obstacles)
+        boxes.flags.writeable = False
+        return boxes
 
     @property
     def boxes(self):
@@ -140,19 +167,41 @@ def max_maze_walls(size):
 
 
 def load_layout(file):
-    """A layout from a TOML file with `size`, `obstacles` (rows of BOX_COLUMNS), and optionally `name`, `routed`,
-    `pedestrians`. Raises ValueError, naming what is wrong."""
+    """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1 of
+    walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
+    `name`, `routed` (default: whether there are walls), `pedestrians`. Raises ValueError, naming what is wrong."""
     with open(file, "rb") as f:
         try:
             fields = tomllib.load(f)
-        except tomllib.TOMLDecodeError as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"{file} is not TOML: {error}.") from None
-    known = {field.name for field in dataclasses.fields(Layout)}
+    known = {field.name for field in dataclasses.fields(Layout)} | {"walls"}
     if unknown := set(fields) - known:
         raise ValueError(f"{file}: unknown keys {sorted(unknown)}. A layout has {sorted(known)}.")
-    if missing := {"size", "obstacles"} - set(fields):
-        raise ValueError(f"{file}: missing {sorted(missing)}.")
-    return Layout(**fields)
+    if "size" not in fields:
+        raise ValueError(f"{file}: missing 'size'.")
+    walls = fields.pop("walls", [])
+    rows = np.array([wall_box(file, wall) for wall in walls]).reshape(-1, len(geometry.BOX_COLUMNS))
+    obstacles = fields.pop("obstacles", [])
+    if len(obstacles) and len(rows):
+        rows = [*obstacles, *rows.tolist()]
+    return Layout(**{"routed": bool(walls), "obstacles": rows if len(rows) else obstacles, **fields})
+
+
+def wall_box(file, wall):
+    """The box (5,) of a wall (x0, y0, x1, y1) [m], WALL_THICKNESS thick, its ends half of that longer."""
+    try:
+        x0, y0, x1, y1 = (float(value) for value in wall)
+    except (TypeError, ValueError):
+        raise ValueError(f"{file}: a wall is four numbers x0, y0, x1, y1, not {wall!r}.") from None
+    length = np.hypot(x1 - x0, y1 - y0)
+    return [
+        (x0 + x1) / 2,
+        (y0 + y1) / 2,
+        (length + WALL_THICKNESS) / 2,
+        WALL_THICKNESS / 2,
+        np.arctan2(y1 - y0, x1 - x0),
+    ]
 
 
 def load_level(level):
@@ -168,11 +217,21 @@ def clearance(points, boxes):
     return geometry.point_box_distance(points, boxes).min(axis=-1)
 
 
-def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
+def _draw(rng, number, half, region):
+    """`number` places (number, 2), uniform over the square of half a side `half` [m], or over the boxes `region`."""
+    if region is None:
+        return rng.uniform(-half, half, (number, 2))
+    area = region[:, 2] * region[:, 3]
+    box = region[rng.choice(len(region), number, p=area / area.sum())]
+    return box[:, :2] + geometry.rotate(rng.uniform(-1.0, 1.0, (number, 2)) * box[:, 2:4], box[:, 4])
+
+
+def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None):
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
-    which people stay `keep_off` [m] more. Returns (number, 2) [m]. Raises NoFreeSpace.
+    which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). Returns
+    (number, 2) [m]. Raises NoFreeSpace.
     """
     boxes, half = layout.boxes, layout.size / 2 - RADIUS
     taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
@@ -181,8 +240,9 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
         missing = number - len(places)
         if missing == 0:
             break
-        candidates = rng.uniform(-half, half, (2 * missing + 8, 2))
-        candidates = candidates[clearance(candidates, boxes) >= RADIUS + gap]
+        candidates = _draw(rng, 2 * missing + 8, half, region)
+        inside = (np.abs(candidates) <= half).all(axis=-1)
+        candidates = candidates[inside & (clearance(candidates, boxes) >= RADIUS + gap)]
         if len(taken):
             away = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
             candidates = candidates[away >= 2 * RADIUS + gap + keep_off]
@@ -197,10 +257,10 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0):
     )
 
 
-def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3):
+def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None):
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
-    Raises NoFreeSpace when the map has no such place.
+    region: boxes (M, 5) in which goals lie (default: anywhere). Raises NoFreeSpace when the map has no such place.
     """
     starts = np.asarray(starts, dtype=float)
     boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap
@@ -208,10 +268,18 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3):
     for _ in range(_TRIES):
         if not len(missing):
             break
-        apart = np.sqrt(rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing)))  # uniform over the ring's area
-        angle = rng.uniform(-np.pi, np.pi, len(missing))
-        drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        if region is None:
+            apart = np.sqrt(
+                rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing))
+            )  # uniform over the ring's area
+            angle = rng.uniform(-np.pi, np.pi, len(missing))
+            drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        else:
+            drawn = _draw(rng, len(missing), half, region)
         good = (np.abs(drawn) <= half).all(axis=-1) & (clearance(drawn, boxes) >= RADIUS + gap)
+        if region is not None:
+            apart = np.linalg.norm(drawn - starts[missing], axis=-1)
+            good &= (apart >= distance[0]) & (apart <= distance[1])
         goals[missing[good]] = drawn[good]
         missing = missing[~good]
     if not len(missing):

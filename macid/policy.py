@@ -73,6 +73,10 @@ class Policy:
 
     def __call__(self, observed, lcf):
         """(v, w) (..., 2) [m/s, rad/s] for observations (..., 41) and LCFs (...); NumPy or JAX, as the input is."""
+        return to_velocity(self.action(observed, lcf))
+
+    def action(self, observed, lcf):
+        """The same as actions (..., 2), unclipped, as `to_velocity` reads them."""
         if not hasattr(observed, "__array_namespace__"):
             observed = np.asarray(observed, np.float32)
         xp = observed.__array_namespace__()
@@ -82,7 +86,7 @@ class Policy:
             )
         observed = xp.asarray(observed, dtype=np.float32)
         lcf = xp.broadcast_to(xp.asarray(lcf, dtype=np.float32), observed.shape[:-1])
-        return to_velocity(mlp(self.layers, inputs(features(observed), lcf)))
+        return mlp(self.layers, inputs(features(observed), lcf))
 
     @property
     def period(self):

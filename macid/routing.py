@@ -20,8 +20,13 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
     """
     cells = max(1, round(layout.size / resolution))
     axis = (np.arange(cells) + 0.5) * resolution - layout.size / 2
-    centres = np.stack(np.meshgrid(axis, axis), axis=-1)
-    return geometry.point_box_distance(centres, layout.boxes).min(axis=-1) <= radius
+    occupied = np.zeros((cells, cells), dtype=bool)
+    for box in layout.boxes:
+        reach = np.hypot(*box[2:4]) + radius + resolution  # no need to look beyond
+        (i, j), (to_i, to_j) = np.searchsorted(axis, [box[1::-1] - reach, box[1::-1] + reach])
+        centres = np.stack(np.meshgrid(axis[j:to_j], axis[i:to_i]), axis=-1)
+        occupied[i:to_i, j:to_j] |= geometry.point_box_distance(centres, box[None])[..., 0] <= radius
+    return occupied
 
 
 def lines_are_free(start, goals, boxes, radius=RADIUS):
@@ -98,3 +103,13 @@ class Router:
             start, path = path[seen - 1], path[seen:]
             corners.append(start)
         return np.array([*corners, *path])
+
+
+def rest_of_route(route, place, end):
+    """What is left of `route` (W, 2) [m] for who stands at `place` (2,) and walks to its end nearer to `end` (2,): (V, 2)."""
+    if ((route[0] - end) ** 2).sum() < ((route[-1] - end) ** 2).sum():
+        route = route[::-1]
+    step = np.diff(route, axis=0)
+    share = ((place - route[:-1]) * step).sum(axis=-1) / np.maximum((step**2).sum(axis=-1), 1e-12)
+    nearest = route[:-1] + np.clip(share, 0.0, 1.0)[:, None] * step
+    return route[1 + int(((nearest - place) ** 2).sum(axis=-1).argmin()) :]

@@ -96,7 +96,7 @@ def base_spec(size):
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[size / 2 + 1.0, size / 2 + 1.0, 0.1],
+        size=[size / 2 + 1.0] * 3,  # the third is how finely it is drawn: one square, as lit from afar it is all alike
         material="tiles",
         contype=FLOOR_CONTACT[0],
         conaffinity=FLOOR_CONTACT[1],

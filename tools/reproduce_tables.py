@@ -28,8 +28,8 @@ from macid.state import PHYSICS_STEP
 
 COLUMNS = ("SR10", "CP", "PE")
 WALKING = ("arrived", "dv", "dw", "stalled")
-PERIODS = (0.05, 0.1)  # between decisions [s], beside the usual 0.02
-SEEDS, BUDGET = 3, 50e6  # of each training; the paper's budget: 1000 episodes of 1000 steps of 50 people
+PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is no multiple of the physics step
+SEEDS, BUDGET = 3, 30e6  # of each training
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.

@@ -19,6 +19,10 @@ BUILT_IN = {
     "random": "bson.agents.scripted:Random",
     "goal": "bson.agents.scripted:goal",
     "vfh": "bson.agents.vfh:Vfh",
+    "astar": "bson.agents.planning:AStar",
+    "rrt": "bson.agents.planning:Rrt",
+    "rrt-star": "bson.agents.planning:RrtStar",
+    "carrt-star": "bson.agents.planning:CarrtStar",
 }
 _HELP = f"Choose one of {', '.join(BUILT_IN)}, a 'module:function', or a file 'agent.py[:function]'."
 
@@ -30,7 +34,8 @@ class AgentError(ValueError):
 def load_agent(name):
     """The agent `name`: a built-in one, `module:attribute`, or `file.py[:attribute]` (attribute `agent` if not given).
 
-    Returns a factory: called without arguments, it gives a callable for one world. Raises AgentError.
+    Returns a factory: called without arguments, it gives a callable for one world; its `track` and `sensor` name what the
+    agent wants to be given (attributes of the agent; "local" and "lidar2d" without). Raises AgentError.
     """
     if name in BUILT_IN:
         return _factory(_from_module(*BUILT_IN[name].split(":"), name), name)
@@ -79,12 +84,21 @@ def _attribute(module, attribute, name):
 
 def _factory(found, name):
     if not inspect.isclass(found):
-        return lambda: found
-    try:
-        made = [found()]
-    except TypeError as error:
-        raise AgentError(f"Agent '{name}': its class must be constructible without arguments ({error}).") from None
-    return lambda: made.pop() if made else found()
+
+        def factory():
+            return found
+
+    else:
+        try:
+            made = [found()]
+        except TypeError as error:
+            raise AgentError(f"Agent '{name}': its class must be constructible without arguments ({error}).") from None
+
+        def factory():
+            return made.pop() if made else found()
+
+    factory.track, factory.sensor = getattr(found, "track", "local"), getattr(found, "sensor", "lidar2d")
+    return factory
 
 
 def act(agent, observation, name="agent"):

@@ -9,6 +9,7 @@ import functools
 from macid.pedestrians.learned import Learned
 from macid.pedestrians.orca import ORCA
 from macid.pedestrians.social_force import SocialForce
+from macid.pedestrians.standing import Standing
 from macid.policy import load_policy, policy_names
 from macid.state import RADIUS
 
@@ -16,6 +17,7 @@ MODELS = {
     "social-force": SocialForce,
     "social-force-bodies": functools.partial(SocialForce, body_radius=RADIUS),
     "orca": ORCA,
+    "standing": Standing,
 }
 
 

@@ -2,12 +2,18 @@ import numpy as np
 import pytest
 
 from bson.agents import BUILT_IN, AgentError, act, load_agent
+from macid.geometry import to_body
 
 OBSERVATION = {
     "goal": np.array([10.0, 0.0], np.float32),
     "velocity": np.zeros(2, np.float32),
     "imu": np.zeros(6, np.float32),
     "lidar": np.full(720, 30.0, np.float32),
+    "map": np.zeros((120, 120), np.uint8),  # of the Global track, from here on
+    "map_origin": np.full(2, -15.0, np.float32),
+    "map_resolution": np.array([0.25], np.float32),
+    "pose": np.zeros(3, np.float32),
+    "people": np.array([[3.0, 0.2], [-4.0, 2.0]], np.float32),
 }
 
 
@@ -19,6 +25,30 @@ def test_every_built_in_agent_acts_within_bounds(name):
     for goal in ([10.0, 0.0], [-5.0, 3.0], [0.1, -0.1]):
         action = act(agent, {**OBSERVATION, "goal": np.array(goal, np.float32)}, name)
         assert (np.abs(action) <= 1.0).all()
+
+
+@pytest.mark.parametrize("name", ["astar", "rrt", "rrt-star", "carrt-star"])
+def test_planning_agents_find_the_way_round_a_wall(name):
+    make = load_agent(name)
+    assert make.track == "global" and load_agent("vfh").track == "local"
+    agent, pose, goal = make(), np.array([-4.0, 0.0, 0.0]), np.array([4.0, 0.0])
+    agent.reset(1)
+    wall = OBSERVATION["map"].copy()
+    wall[:70, 60] = 1  # along y up to 2.5 m, at x = 0
+    nobody = np.full((0, 2), 0.0, np.float32)
+    least = np.inf
+    for _ in range(250):  # an ideal unicycle
+        seen = {**OBSERVATION, "map": wall, "people": nobody, "pose": pose.astype(np.float32)}
+        seen["goal"] = to_body(goal - pose[:2], pose[2]).astype(np.float32)
+        v, w = act(agent, seen, name) * 2.0
+        pose = pose + 0.1 * np.array([v * np.cos(pose[2]), v * np.sin(pose[2]), w])
+        if pose[1] < 2.5:
+            least = min(least, abs(pose[0] - 0.125) - 0.125)
+        if np.linalg.norm(goal - pose[:2]) < 0.5:
+            break
+    else:
+        pytest.fail("did not arrive")
+    assert least > 0.2
 
 
 def test_the_goal_agent_turns_towards_the_goal():

@@ -62,7 +62,7 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
     ("arguments", "told"),
     [
         (["evaluate", "--agent", "vhf"], "stop, random, goal, vfh"),
-        (["evaluate", "--suite", "papers"], "paper, smoke"),
+        (["evaluate", "--suite", "papers"], "paper, scenarios, smoke, standard"),
         (["evaluate", "--episodes", "0"], "1 to 100"),
         (["evaluate", "--seed", "-1"], "at least 0"),
         (["evaluate", "--videos", "-1"], "at least 0"),

@@ -40,10 +40,9 @@ def test_physics_is_open_to_named_readings():
     data, world = env.physics.named.data, env.world
     np.testing.assert_allclose(data.xpos["robot/base", ["x", "y"]], world.pose[0, :2])
     np.testing.assert_allclose(data.xpos["person1", ["x", "y"]], world.people[0, 1, :2])
-    lidar = [np.ravel(data.sensordata[f"robot/lidar{beam}"])[0] for beam in (0, 300, 719)]
-    np.testing.assert_allclose(
-        np.where(np.array(lidar) < 0, 30, lidar), world.readings["lidar"][0, [0, 300, 719]], rtol=1e-5
-    )
+    gyro = data.sensordata["robot/imu_gyro"]
+    np.testing.assert_allclose(gyro, world.readings["imu"][0, 3:], rtol=1e-5, atol=1e-6)
+    assert abs(gyro[2]) > 0.01
     assert env.physics.time() == pytest.approx(0.5)
 
 

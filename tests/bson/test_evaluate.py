@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 
 from bson.agents import load_agent
-from bson.evaluate import results, run_episodes
-from bson.metrics import measure
+from bson.cli import main
+from bson.evaluate import format_summary, results, run_episodes
+from bson.metrics import METRICS, measure
 from bson.report import make_report
 from bson.session import Session
 from bson.suites import load_suite, suite_names
-from bson.task import TaskConfig
+from bson.task import TaskConfig, spawn
 from bson.tracks import make_track
+from macid import assets
 
 TRACK = make_track("local", "lidar2d")
 SMALL = TaskConfig(num_pedestrians=5, map_size=20.0, goal_distance=(6.0, 15.0), horizon=120)
@@ -67,12 +69,47 @@ def test_a_class_gets_an_object_a_world_and_is_reset_with_each_seed():
     assert sorted(Noted.seeds) == [7, 8, 9]
 
 
+def test_an_episode_has_what_the_metrics_need(episodes):
+    for episode in episodes:
+        assert episode.shortest == pytest.approx(episode.start_distance)
+        assert episode.timed_out != episode.arrived
+        assert episode.robot_radius == pytest.approx(0.31, abs=0.001)
+        assert 0 <= episode.collisions_robot_on_person <= episode.collisions_person
+        moved = np.diff(episode.people[..., :2], axis=0) / 0.1
+        mean = (episode.people_velocity[1:] + episode.people_velocity[:-1]) / 2
+        assert np.median(np.abs(moved - mean)) < 0.05
+    assert not np.isnan([list(measure(episode).values()) for episode in episodes]).any()
+
+
+def test_the_shortest_way_in_a_maze_goes_around_its_walls():
+    config = TaskConfig(num_pedestrians=0, obstacle_density=1.0, horizon=1)
+    episodes = run_episodes(load_agent("stop"), config, TRACK, [0, 1, 2])
+    ways = [episode.shortest / episode.start_distance for episode in episodes]
+    assert min(ways) >= 1.0 - 1e-9 and max(ways) > 1.3
+
+
 def test_results_are_json_with_the_promised_keys(episodes):
     content = json.loads(json.dumps(results("goal", "smoke", SMALL, episodes), allow_nan=False))
     assert {"agent", "suite", "config", "versions", "summary", "episodes"} <= set(content)
     assert list(content["summary"])[:5] == ["SNS", "RC", "Coll", "SP", "PE"]
     assert content["summary"]["SNS"] == pytest.approx(np.mean([row["SNS"] for row in content["episodes"]]))
     assert content["config"]["num_pedestrians"] == 5
+    assert list(content["metrics"]) == list(measure(episodes[0]))
+    assert content["metrics"]["nearest_person"] == {
+        "unit": "m",
+        "better": "up",
+        "what": "least surface-to-surface distance to a person, at control steps",
+    }
+    assert content["counts"]["SNS"] == 4 and set(content["counts"]) == set(content["summary"])
+
+
+def test_the_summary_in_words_counts_the_episodes_behind_a_mean(episodes):
+    late = dataclasses.replace(episodes[0], arrived=False, timed_out=True)
+    text = format_summary(results("goal", "smoke", SMALL, [late, *episodes[1:]]))
+    lines = {line.split()[0]: line.split() for line in text.splitlines()}
+    arrived = sum(episode.arrived for episode in episodes[1:])
+    assert arrived and lines["time_to_goal"][-3:] == ["down,", str(arrived), f"episode{'s' if arrived > 1 else ''}"]
+    assert lines["path_length"][-2:] == ["m", "down"] and lines["SNS"][-1] == "up"
 
 
 def test_the_report_shows_the_score_and_needs_no_other_file(episodes):
@@ -82,12 +119,15 @@ def test_the_report_shows_the_score_and_needs_no_other_file(episodes):
     assert "goal &amp; co" in page and "No video: no GL &lt;here&gt;." in page
     assert page.count("data:image/png;base64,") >= 2
     assert 'src="http' not in page and "href=" not in page
+    assert all(f"{metric.name}<" in page or f"{metric.name} <" in page for metric in METRICS)
 
 
 def test_suites_are_as_the_paper_says_and_apart():
     paper = load_suite("paper")
     assert len(set(paper.seeds)) == 100
-    assert (paper.config.people, paper.config.obstacle_density, paper.config.lcf) == (24, 0.0, (-2.0, 2.0))
+    (cell,) = paper.cells
+    assert cell.name == "all" and paper.axes == {}
+    assert (cell.config.people, cell.config.obstacle_density, cell.config.lcf) == (24, 0.0, (-2.0, 2.0))
     assert not set(paper.seeds) & set(load_suite("smoke").seeds)
     assert {"paper", "smoke"} <= set(suite_names())
     assert paper.drawn(3) == list(paper.seeds[:3])
@@ -96,6 +136,48 @@ def test_suites_are_as_the_paper_says_and_apart():
         load_suite("papers")
     with pytest.raises(ValueError, match="1 to 100"):
         paper.drawn(101)
+
+
+def test_standard_has_every_combination_of_three_criteria():
+    standard = load_suite("standard")
+    assert len(standard.cells) == 27 == len({cell.name for cell in standard.cells})
+    assert {axis: len(grades) for axis, grades in standard.axes.items()} == {"obstacles": 3, "people": 3, "temper": 3}
+    dense = [cell for cell in standard.cells if cell.name == "maze, dense, adversarial"][0].config
+    assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
+
+
+def test_every_scenario_has_room_for_all_its_episodes():
+    scenarios = load_suite("scenarios")
+    assert len(scenarios.cells) == 7
+    for cell in scenarios.cells:
+        for seed in scenarios.seeds:
+            drawn = spawn(cell.config, np.random.default_rng(seed))
+            assert len(drawn.people) == cell.config.people > 0
+
+
+def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):
+    paper, scenarios = load_suite("paper"), load_suite("scenarios")
+    digests = {load_suite(name).digest for name in suite_names()}
+    assert len(digests) == len(suite_names()) and paper.digest == load_suite("paper").digest
+    assert dataclasses.replace(paper, seeds=paper.seeds[:-1]).digest != paper.digest
+    text = assets.path("maps", "frontal.toml").read_text()
+    found = []
+    for wall in ("10.0", "9.0"):
+        (tmp_path / "frontal.toml").write_text(text.replace("[[-10.0", f"[[-{wall}"))
+        cell = dataclasses.replace(scenarios.cells[0], config=TaskConfig(map=str(tmp_path / "frontal.toml")))
+        found.append(dataclasses.replace(scenarios, cells=(cell,)).digest)
+    assert found[0] != found[1]
+
+
+def test_a_suite_of_cells_is_summarised_cell_by_cell(tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["evaluate", "--agent", "goal", "--suite", "scenarios", "--episodes", "1", "--videos", "0"]
+    assert main([*command, "--set", "horizon=5", "--out", str(out)]) == 0
+    content = json.loads((out / "results.json").read_text())
+    assert [cell["grades"]["scenario"] for cell in content["cells"]][:2] == ["frontal", "crossing"]
+    assert len(content["episodes"]) == 7 and content["suite_digest"] is None  # overridden: no longer the suite
+    scores = [cell["summary"]["SNS"] for cell in content["cells"]]
+    assert content["summary"]["SNS"] == pytest.approx(np.mean(scores))
 
 
 def test_a_straight_free_drive_in_simulation_scores_its_route_completion():

@@ -36,13 +36,16 @@ def straight(steps, lcf=(-2.0, 2.0)):
     return Episode(
         seed=7,
         start_distance=float(np.hypot(*(GOAL - START))),
+        shortest=float(np.hypot(*(GOAL - START))),
         final_distance=float(np.hypot(*(GOAL - way[-1]))),
         travelled=0.1 * steps,
         duration=0.1 * steps,
         arrived=False,
+        timed_out=True,
         collisions=0,
         collisions_so_far=np.zeros(len(pose), int),
         collisions_person=0,
+        collisions_robot_on_person=0,
         collisions_obstacle=0,
         collisions_wall=0,
         nearest_person=np.ones(steps + 1),
@@ -52,8 +55,10 @@ def straight(steps, lcf=(-2.0, 2.0)):
         pose=pose,
         velocity=np.tile([1.0, 0.0], (steps + 1, 1)),
         people=people,
+        people_velocity=np.zeros((steps + 1, 2, 2)),
         qpos=np.hstack([people.reshape(steps + 1, -1), robot.spawn_qpos(*pose.T), np.zeros((steps + 1, 4))]),
         period=0.1,
+        robot_radius=0.31,
     )
 
 

@@ -30,11 +30,17 @@ def test_defaults_are_the_papers():
         ({"control_period": 0.03}, "multiple of the physics step"),
         ({"control_period": 0.1, "pedestrian_period": 0.06}, "multiple of pedestrian_period"),
         ({"horizon": 0}, "at least 1"),
+        ({"map": "hal"}, "Choose one of blind-corner, .*hall, office"),
+        ({"map": 3}, "a name or a file"),
+        ({"map": "hall", "obstacle_density": 0.5}, "its own obstacles"),
         ({"goal_distance": (0.0, 1.0)}, "at least 1 m"),
         ({"pedestrians": 3}, "num_pedestrians"),
         ({"num_pedestrians": 10**6}, "at most 2000"),
         ({"obstacle_density": None}, "between 0 and 1"),
         ({"pedestrian_model": ["orca"]}, "must be a name"),
+        ({"pedestrian_model": {"orca": -1.0}}, "must be a name or"),
+        ({"pedestrian_model": {"orca": 1.0, "orca2": 1.0}}, "Unknown pedestrian model 'orca2'"),
+        ({"lcf_each": [0.0, 1.0]}, "lcf_each must be 24 numbers"),
         ({"reward": 3}, "distance, goal, collision"),
         ({"robot": {"max_sped": 1.0}}, "max_speed"),
         ({"control_period": 1e9}, "at most 10 s"),
@@ -77,3 +83,46 @@ def test_a_map_without_room_is_told():
         spawn(TaskConfig(num_pedestrians=400, map_size=12.0, goal_distance=(5, 8)), np.random.default_rng(0))
     with pytest.raises(NoFreeSpace, match="no free goal"):
         spawn(TaskConfig(num_pedestrians=1, map_size=12.0, goal_distance=(30, 40)), np.random.default_rng(0))
+
+
+def test_a_map_from_a_file_brings_its_size_people_and_regions():
+    config = TaskConfig(map="hall")
+    assert (config.map_size, config.people) == (24.0, 12)
+    assert TaskConfig(map="hall", num_pedestrians=5).people == 5
+    drawn = spawn(config, np.random.default_rng(0))
+    regions = drawn.layout.regions
+    assert geometry.point_box_distance(drawn.robot[:2], regions["robot_start"]).min() == 0
+    assert geometry.point_box_distance(drawn.goal, regions["robot_goal"]).min() == 0
+    for person, (place, goal) in enumerate(zip(drawn.people[:, :2], drawn.people_goals, strict=True)):
+        route = drawn.layout.routes[person % 3]
+        assert goal.tolist() in (route[0].tolist(), route[-1].tolist())
+        dense = np.concatenate([np.linspace(a, b, 50) for a, b in zip(route[:-1], route[1:], strict=True)])
+        assert np.linalg.norm(dense - place, axis=-1).min() <= 1.5
+
+
+def test_a_goal_that_cannot_be_reached_is_told(tmp_path):
+    (tmp_path / "cut.toml").write_text(
+        "size = 20.0\nwalls = [[0.0, -10.0, 0.0, 10.0]]\n[regions]\n"
+        "robot_start = [[-5.0, 0.0, 2.0, 5.0, 0.0]]\nrobot_goal = [[5.0, 0.0, 2.0, 5.0, 0.0]]\n"
+    )
+    with pytest.raises(NoFreeSpace, match="can't reach its goal"):
+        spawn(
+            TaskConfig(map=str(tmp_path / "cut.toml"), num_pedestrians=0, goal_distance=(3.0, 15.0)),
+            np.random.default_rng(0),
+        )
+
+
+def test_models_are_mixed_by_their_shares():
+    config = TaskConfig(num_pedestrians=400, pedestrian_model={"orca": 3, "social-force": 1})
+    assert config.model_shares == {"orca": 0.75, "social-force": 0.25}
+    assert hash(config) == hash(config.replace())
+    drawn = spawn(config.replace(map_size=100.0), np.random.default_rng(0))
+    assert 0.18 < drawn.models.mean() < 0.32
+
+
+def test_each_pedestrian_may_have_an_lcf_of_its_own():
+    given = np.linspace(-1.0, 1.0, 5)
+    drawn = spawn(TaskConfig(num_pedestrians=5, lcf_each=given), np.random.default_rng(0))
+    np.testing.assert_allclose(drawn.lcf, given)
+    other = spawn(TaskConfig(num_pedestrians=5), np.random.default_rng(0))
+    np.testing.assert_array_equal(drawn.people, other.people)

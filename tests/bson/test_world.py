@@ -137,6 +137,25 @@ def test_a_collision_is_counted_in_physics_steps_by_the_surface_gap(gap, touched
     assert world.nearest_person[0] == pytest.approx(gap, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("move", "robot_on_person"),
+    [((0.02, 0.0), 5), ((0.0, 0.0), 0), ((-0.005, 0.0), 0), ((0.0, 0.02), 0), ((0.0004, 0.0), 0), ((0.002, 0.01), 5)],
+)
+def test_who_ran_into_whom_is_told_by_the_robots_move(move, robot_on_person):
+    world = World(TaskConfig(num_pedestrians=2), 1)
+    world.reset([0], [0])
+    touching = world.config.robot.half_length + RADIUS + 0.005
+    put(world, (0.0, 0.0, 0.0), [[touching, 0.0, 0.0], [0.0, 3.0, 0.0]])  # one ahead, one not touched
+    qpos = np.tile(world.qpos[0], (1, 5, 1))
+    for step in range(5):  # people slide along, so that the contact stays
+        shift = (step + 1) * np.array(move)
+        qpos[0, step, world._robot_qpos][:2] += shift
+        qpos[0, step, world._people].reshape(2, 3)[:, :2] += shift
+    world._account(np.array([0]), np.zeros((1, 3)), qpos)
+    assert world.collisions_person[0] == 5
+    assert world.collisions_robot_on_person[0] == robot_on_person
+
+
 def test_driving_into_a_wall_counts_as_wall_and_pushing_on_counts_on():
     world = World(TaskConfig(num_pedestrians=0), 1)
     world.reset([0], [0])
@@ -262,3 +281,33 @@ def test_small_maps_run_on_and_a_failed_reset_changes_nothing():
     with pytest.raises(NoFreeSpace):
         crowded.reset([0], [1])
     assert crowded.seed[0] == 0 and np.array_equal(crowded.qpos[0], before)
+
+
+def test_people_walk_to_and_fro_on_their_routes():
+    config = TaskConfig(map="hall", num_pedestrians=3, pedestrian_model="social-force-bodies")
+    world = World(config)
+    world.reset([0], [2])
+    routes = world.layouts[0].routes
+    ends, seen = np.array([route[[0, -1]] for route in routes]), [set() for _ in routes]
+    for _ in range(450):
+        world.step([0], [[0.0, 0.0]])
+        distance = np.linalg.norm(ends - world.people[0, :, None, :2], axis=-1)
+        for person, end in np.argwhere(distance < 1.0):
+            seen[person].add(int(end))
+    assert all(both == {0, 1} for both in seen)
+
+
+def test_in_a_mixed_crowd_each_person_moves_as_its_model_does():
+    mixed = TaskConfig(num_pedestrians=6, map_size=20.0, goal_distance=(5.0, 15.0))
+    mixed = mixed.replace(pedestrian_model={"orca": 0.5, "social-force": 0.5})
+    world = World(mixed)
+    world.reset([0], [4])
+    assert 0 < world.models[0].sum() < 6
+    world.step([0], [[0.0, 0.0]])
+    for number, name in enumerate(("orca", "social-force")):
+        alone = World(mixed.replace(pedestrian_model=name))
+        alone.reset([0], [4])
+        alone.step([0], [[0.0, 0.0]])
+        of_it = world.models[0] == number
+        np.testing.assert_allclose(world.people[0, of_it], alone.people[0, of_it], atol=1e-5)
+        assert np.abs(world.people[0, ~of_it] - alone.people[0, ~of_it]).max() > 1e-3

@@ -139,7 +139,6 @@ def test_bad_densities_name_the_range(density):
     [
         ("size = ", "is not TOML"),
         ("size = 9.0\nobstacles = []\nseize = 1", r"unknown keys \['seize'\].*'obstacles'.*'size'"),
-        ("size = 9.0", r"missing \['obstacles'\]"),
         ("size = -9.0\nobstacles = []", "size must be positive"),
         ("size = 9.0\nobstacles = [[0.0, 0.0, 1.0, 0.0, 0.0]]", "half_x.*halves above 0"),
         ("size = 9.0\nobstacles = [[0.0, 0.0, 1.0, nan, 0.0]]", "finite"),

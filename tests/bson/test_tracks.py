@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from bson.session import Session
+from bson.task import TaskConfig
+from bson.tracks import SENSORS, TRACKS, make_track
+from macid.geometry import point_box_distance, rotate
+
+FEW = TaskConfig(num_pedestrians=4, map_size=20.0, goal_distance=(5.0, 18.0), obstacle_density=0.5)
+
+
+def test_the_global_track_adds_the_map_the_pose_and_the_people():
+    session = Session(FEW, make_track("global", "lidar2d"), nworld=2)
+    session.reset([0, 1], [3, 4])
+    for _ in range(4):
+        seen, *_ = session.step([0, 1], np.array([[1.0, 0.3], [0.5, -0.5]]))
+    world = session.world
+    for index in range(2):
+        resolution, origin = seen["map_resolution"][index, 0], seen["map_origin"][index]
+        rows, columns = np.indices(seen["map"][index].shape)
+        centres = origin + resolution * (np.stack([columns, rows], axis=-1) + 0.5)
+        solid = point_box_distance(centres, world.boxes[index]).min(axis=-1) == 0
+        np.testing.assert_array_equal(seen["map"][index], solid)
+        assert 0.01 < solid.mean() < 0.2
+        np.testing.assert_allclose(seen["pose"][index], world.pose[index], atol=1e-5)
+        np.testing.assert_allclose(seen["people"][index], world.people[index, :, :2], atol=1e-5)
+        place = seen["pose"][index, :2] + rotate(seen["goal"][index], seen["pose"][index, 2])
+        np.testing.assert_allclose(place, world.goal[index], atol=1e-4)
+    before = seen["map"].copy()
+    session.reset([0], [9])
+    after = session.observe([0, 1])["map"]
+    assert (after[0] != before[0]).any() and (after[1] == before[1]).all()
+
+
+def test_what_both_tracks_give_is_the_same():
+    seen = []
+    for track in TRACKS:
+        session = Session(FEW, make_track(track, "lidar2d"))
+        session.reset([0], [5])
+        seen.append(session.step([0], np.array([[0.7, 0.1]]))[0])
+    for name in seen[0]:
+        np.testing.assert_array_equal(seen[0][name], seen[1][name])
+
+
+@pytest.mark.parametrize("track", TRACKS)
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_observations_lie_in_their_space(track, sensor):
+    made = make_track(track, sensor)
+    session = Session(FEW, made)
+    seen = session.reset([0], [1])
+    space = made.space(FEW)
+    assert space.contains({name: values[0] for name, values in seen.items()})
+
+
+def test_unknown_names_are_told():
+    with pytest.raises(ValueError, match="Unknown track 'locl'. Choose 'global' or 'local'"):
+        make_track("locl", "lidar2d")
+    with pytest.raises(ValueError, match="Unknown sensor 'sonar'"):
+        make_track("local", "sonar")

@@ -1,0 +1,117 @@
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from macid.geometry import point_box_distance
+from macid.layout import NoFreeSpace, load_layout, sample_goals, sample_people
+from macid.maps import load_map, map_names, rectangles
+from macid.routing import Router, occupancy_grid, rest_of_route
+
+
+def write_map(folder, picture, **fields):
+    cv2.imwrite(str(folder / "floor.pgm"), picture)
+    lines = {"image": "floor.pgm", "resolution": 0.5, "origin": "[-3.0, 2.0, 0.0]", "negate": 0, **fields}
+    (folder / "floor.yaml").write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
+    return str(folder / "floor.yaml")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rectangles_cover_exactly_the_solid_cells(seed):
+    solid = ndimage.binary_dilation(np.random.default_rng(seed).random((17, 24)) < 0.08, np.ones((2, 3)))
+    boxes = rectangles(solid, 0.5)
+    axis = (np.arange(24) + 0.5) * 0.5 - 6.0
+    inside = point_box_distance(np.stack(np.meshgrid(axis, axis), axis=-1), boxes) == 0
+    square = np.ones((24, 24), bool)
+    square[3:20] = solid
+    np.testing.assert_array_equal(inside.any(axis=-1), square)
+    assert (inside.sum(axis=-1) <= 1).all()  # none twice
+    assert len(boxes) < square.sum() / 2
+
+
+def test_an_image_is_read_as_map_server_reads_it(tmp_path):
+    picture = np.full((8, 8), 254, np.uint8)
+    picture[1, 2] = 0  # second row from above: y = 2.5 ... 3
+    picture[6, 5] = 205  # unknown
+    layout = load_map(write_map(tmp_path, picture))
+    assert (layout.size, layout.name, layout.routed) == (4.0, "floor", True)
+    np.testing.assert_allclose(sorted(layout.obstacles[:, :2].tolist()), [[-0.75, 1.25], [0.75, -1.25]])
+    np.testing.assert_allclose(layout.obstacles[:, 2:4], 0.25)
+    turned = load_map(write_map(tmp_path, 255 - picture, negate=1))
+    np.testing.assert_allclose(turned.obstacles[:, :2], layout.obstacles[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"image": "none.pgm"}, "can't read its image 'none.pgm'"),
+        ({"resolution": -1}, "resolution must be a number above 0, not -1"),
+        ({"origin": "[0, 0, 0.5]"}, "turned map"),
+        ({"mode": "scale"}, "trinary"),
+    ],
+)
+def test_a_wrong_image_map_is_told(tmp_path, fields, told):
+    with pytest.raises(ValueError, match=told):
+        load_map(write_map(tmp_path, np.full((4, 4), 254, np.uint8), **fields))
+
+
+def test_wrong_names_and_files_are_told(tmp_path):
+    with pytest.raises(ValueError, match="Unknown map 'hal'. Choose one of blind-corner, .*hall, office"):
+        load_map("hal")
+    with pytest.raises(ValueError, match="no map file"):
+        load_map(str(tmp_path / "none.toml"))
+    (tmp_path / "bad.yaml").write_text("a: [1")
+    with pytest.raises(ValueError, match="not YAML"):
+        load_map(str(tmp_path / "bad.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("walls = [[0, 0, 1]]", "a wall is four numbers"),
+        ("regions = {robot = [[0, 0, 1, 1, 0]]}", "unknown region 'robot'. Choose among robot_start"),
+        ("regions = {robot_goal = []}", "robot_goal has no box"),
+        ("routes = [[[0, 0]]]", "two or more points"),
+        ("routes = [[[0, 0], [0, 50]]]", "on the map"),
+        ("rooms = 3", "unknown keys"),
+    ],
+)
+def test_a_wrong_layout_file_is_told(tmp_path, text, told):
+    (tmp_path / "map.toml").write_text(f"size = 20.0\n{text}\n")
+    with pytest.raises(ValueError, match=told):
+        load_layout(tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize("name", map_names())
+def test_the_shipped_maps_are_connected(name):
+    layout = load_map(name)
+    free = ~occupancy_grid(layout, resolution=0.2)
+    labels, _ = ndimage.label(free)
+    sizes = np.bincount(labels[free])
+    assert sizes.max() > 0.97 * free.sum()
+    for route in layout.routes:
+        for start, end in zip(route[:-1], route[1:], strict=True):
+            Router(layout).path(start, end)
+
+
+def test_walls_stand_where_they_were_drawn():
+    boxes = load_map("hall").boxes
+    assert (point_box_distance(np.array([[0.0, -6.0], [0.0, 1.6]]), boxes).min(axis=-1) == 0).all()
+    assert point_box_distance(np.array([0.0, 0.0]), boxes).min() == pytest.approx(1.35)
+
+
+def test_people_stand_and_go_only_where_they_may():
+    layout, rng = load_map("hall"), np.random.default_rng(0)
+    left, right = layout.regions["robot_start"], layout.regions["robot_goal"]
+    starts = sample_people(rng, layout, 20, region=left)
+    goals = sample_goals(rng, layout, starts, (5.0, 30.0), region=right)
+    assert (point_box_distance(starts, left) == 0).all() and (point_box_distance(goals, right) == 0).all()
+    with pytest.raises(NoFreeSpace):
+        sample_goals(rng, layout, starts, (1.0, 2.0), region=right)
+
+
+def test_the_rest_of_a_route():
+    route = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]])
+    np.testing.assert_array_equal(rest_of_route(route, np.array([1.0, 0.5]), route[-1]), route[1:])
+    np.testing.assert_array_equal(rest_of_route(route, np.array([4.5, 2.0]), route[-1]), route[2:])
+    np.testing.assert_array_equal(rest_of_route(route, np.array([4.5, 2.0]), route[0]), route[1::-1])
