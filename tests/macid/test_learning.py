@@ -147,7 +147,7 @@ def test_resuming_equals_not_stopping(tmp_path):
     assert [same(a.layers, b.layers) for a, b in zip(whole, parts, strict=True)] == [True, True]
     assert not same(whole[0].layers, whole[1].layers)
     for seed in (0, 1):
-        folder = tmp_path / "parts" / f"macid-{seed}"
+        folder = tmp_path / "parts" / f"{TINY.name}-{seed}"
         rows = list(csv.DictReader((folder / "curve.csv").open()))
         assert [float(row["agent_steps"]) for row in rows] == [500, 1000, 1500, 2000]
         policy = load_policy(str(folder / "policy.npz"))
