@@ -71,7 +71,7 @@ def test_bench_measures_rollout_and_training(tmp_path, capsys):
     out = tmp_path / "bench.json"
     assert main(["bench", "--levels", "1", "--worlds", "1", "--seconds", "0.01", "--out", str(out)]) == 0
     (row,) = json.loads(out.read_text())
-    assert row["people"] == 25 and row["rollout"] > row["training"] > 0
+    assert row["people"] == 25 and min(row["rollout"], row["training"]) > 0
 
 
 def test_train_writes_a_policy_that_evaluate_takes(tmp_path):
