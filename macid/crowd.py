@@ -77,6 +77,11 @@ def _position(state, episode):
     return state.position
 
 
+def snapshot(state, episode):
+    """For `Crowd.rollout`: what a macid.watch.Recording has of an instant, position, yaw, walking and collisions."""
+    return state.position, state.yaw, episode.walking, episode.collisions
+
+
 class Crowd:
     """`nworld` episodes at once of the crowd `config` on `layout`."""
 

@@ -125,7 +125,54 @@ def pace(speed):
     return "real time" if abs(speed - 1) < 0.01 else f"played {speed:.3g} times as fast"
 
 
-class Stage:
+class Offscreen:
+    """A model, the coordinates of its bodies, and what draws them offscreen. Close it, or let it go.
+
+    model: as it is to look; it is kept, so give a copy. size: of the largest picture, width and height [pixels].
+    extra: how many shapes can be added to the scene. Raises Unavailable without OpenGL.
+    """
+
+    _gl = _context = None  # when `close` comes before they are made
+
+    def __init__(self, model, size, extra):
+        model.vis.global_.offwidth, model.vis.global_.offheight = size
+        self._gl = gl_context(*map(int, size))
+        close_at_exit(self)
+        self._context = offscreen(model)
+        self.model, self.data = model, mujoco.MjData(model)
+        self.scene = mujoco.MjvScene(model, model.ngeom + extra)
+        self._option = mujoco.MjvOption()
+        self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+
+    def __del__(self):
+        self.close()
+
+    def close(self):
+        """Frees the graphics resources."""
+        gl, context = self._gl, self._context
+        self._gl = self._context = None
+        if gl is not None:
+            if context is not None:
+                gl.make_current()
+                context.free()
+            gl.free()
+
+    def make_current(self):
+        """Directs OpenGL here. Raises ValueError once closed."""
+        if self._gl is None:
+            raise ValueError(f"This {type(self).__name__} is closed.")
+        self._gl.make_current()
+
+    def place(self, camera):
+        """Puts the bodies where `data` has their coordinates, and the model alone into the scene, seen by `camera`."""
+        model, data = self.model, self.data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        mujoco.mjv_updateScene(model, data, self._option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, self.scene)
+
+
+class Stage(Offscreen):
     """A page with views of one model. Close it, or use it in a `with`; raises Unavailable without OpenGL.
 
     model: as it looks, its people invisible behind the figures that are added; it is copied. size: of the page, width
@@ -136,11 +183,7 @@ class Stage:
     def __init__(self, model, size, views, scale=1.0, samples=0):
         self.scale = scale
         self.size = tuple(2 * round(side * scale / 2) for side in size)  #: width, height [pixels]
-        self._gl = self._context = None
-        model = self.model = copy.copy(model)
-        model.vis.global_.offwidth, model.vis.global_.offheight = np.max(
-            [self.rect(view)[2:] for view in views], axis=0
-        )
+        model = copy.copy(model)
         quality = model.vis.quality
         quality.offsamples, quality.numquads = samples, 1
         quality.shadowsize, quality.numslices, quality.numstacks = (4096, 32, 16) if samples else (2048, 18, 8)
@@ -151,13 +194,7 @@ class Stage:
         for index in range(len(self.boxes)):  # coplanar tops would be lit twice where walls meet
             model.geom(f"box{index}").size[2] -= 0.002 * (index % 7)
         self._floor = model.geom("floor").id  # 0: the first in the scene, too
-        self.data = mujoco.MjData(model)
-        self._gl = gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
-        close_at_exit(self)
-        self._context = offscreen(model)
-        self.scene = mujoco.MjvScene(model, model.ngeom + 4000)
-        self._option = mujoco.MjvOption()
-        self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+        super().__init__(model, np.max([self.rect(view)[2:] for view in views], axis=0), extra=4000)
         self._free = mujoco.MjvCamera()
 
     def __enter__(self):
@@ -166,34 +203,14 @@ class Stage:
     def __exit__(self, *_):
         self.close()
 
-    def __del__(self):
-        self.close()
-
-    def close(self):
-        """Frees the graphics resources."""
-        gl, context = getattr(self, "_gl", None), getattr(self, "_context", None)
-        self._gl = self._context = None
-        if gl is not None:
-            if context is not None:
-                gl.make_current()
-                context.free()
-            gl.free()
-
     def rect(self, view):
         """A rectangle of the page at scale 1, in pixels."""
         return tuple(round(value * self.scale) for value in view)
 
     def pose(self):
         """Puts the bodies where `data` has their coordinates, and the model alone into the scene."""
-        if self._gl is None:
-            raise ValueError("This film is closed.")
-        self._gl.make_current()
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
-        mujoco.mjv_updateScene(
-            self.model, self.data, self._option, None, self._free, mujoco.mjtCatBit.mjCAT_ALL, self.scene
-        )
+        self.make_current()
+        self.place(self._free)
         self.scene.geoms[self._floor].category = mujoco.mjtCatBit.mjCAT_DECOR
 
     def page(self):

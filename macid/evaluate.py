@@ -55,15 +55,15 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
     start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
     end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
     arrived, collisions = ~np.asarray(end.walking), np.asarray(end.collisions)
-    distance, travelled, time = (np.asarray(field) for field in (end.distance, end.travelled, end.time))
+    distance, travelled = np.asarray(end.distance), np.asarray(end.travelled)
     each = {
         "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
         "CP": [metrics.collision_penalty(c) for c in collisions],
         "PE": [metrics.path_efficiency(*row) for row in zip(arrived, distance, travelled, strict=True)],
         "arrived": [100.0 * float(a.mean()) for a in arrived],
-        "dv": [float(changes.sum() / t.sum()) for changes, t in zip(np.asarray(end.sped), time, strict=True)],
-        "dw": [float(changes.sum() / t.sum()) for changes, t in zip(np.asarray(end.turned), time, strict=True)],
-        "stalled": [100.0 * float(s.sum() / t.sum()) for s, t in zip(np.asarray(end.stalled), time, strict=True)],
+        "dv": _per_second(end.sped, end.time),
+        "dw": _per_second(end.turned, end.time),
+        "stalled": 100.0 * _per_second(end.stalled, end.time),
     }
     curve = [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)]
     return {
@@ -86,11 +86,17 @@ def level_name(level):
 
 
 def level_seed(level):
+    """What follows the seed in that of a level's episodes, so that no two levels share their draws: whole numbers."""
     return (level,) if level in LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
 
 
 def _range(pair):
     return "({:.2f}, {:.2f})".format(*pair)
+
+
+def _per_second(amount, time):
+    """Everybody's `amount` (episodes, K) together, per second of everybody's `time` (episodes, K): (episodes,)."""
+    return (np.asarray(amount).sum(axis=1) / np.asarray(time).sum(axis=1)).astype(float)
 
 
 def _over_episodes(statistic, values):

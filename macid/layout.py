@@ -18,6 +18,7 @@ WALL_THICKNESS = 0.3  # [m]
 CORRIDOR = 5.0  # side of a maze's cell [m]
 GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
 REGIONS = ("robot_start", "robot_goal", "people_start", "people_goal")
+_BOX_ROW = ", ".join(geometry.BOX_COLUMNS)
 _TRIES = 300
 
 LEVELS = (1, 2, 3, 4)
@@ -49,6 +50,8 @@ class Layout:
     def __post_init__(self):
         if not isinstance(self.size, numbers.Real) or not 0 < self.size < np.inf:
             raise ValueError(f"A layout's size must be positive, not {self.size!r}.")
+        if self.pedestrians is not None and self.pedestrians < 0:
+            raise ValueError(f"Layout '{self.name}': pedestrians must be at least 0, not {self.pedestrians}.")
         object.__setattr__(self, "obstacles", self._boxes("obstacles", self.obstacles))
         if unknown := sorted(set(self.regions) - set(REGIONS)):
             raise ValueError(f"Layout '{self.name}': unknown region '{unknown[0]}'. Choose among {', '.join(REGIONS)}.")
@@ -58,10 +61,7 @@ class Layout:
         object.__setattr__(self, "regions", regions)
         routes = []
         for route in self.routes:
-            try:
-                points = np.array(route, dtype=float)
-            except (TypeError, ValueError):
-                points = np.empty(0)
+            points = _numbers(route)
             inside = points.ndim == 2 and points.shape[1] == 2 and len(points) > 1
             if not (inside and np.isfinite(points).all() and (np.abs(points) <= self.size / 2).all()):
                 raise ValueError(f"Layout '{self.name}': a route needs two or more points (x, y) on the map.")
@@ -71,17 +71,12 @@ class Layout:
 
     def _boxes(self, what, rows):
         """`rows` as an array (N, 5) of its own, checked."""
-        wanted = f"Layout '{self.name}': {what} need finite rows {geometry.BOX_COLUMNS}, halves above 0."
-        try:
-            boxes = np.array(rows, dtype=float)  # a copy: the caller's array stays the caller's
-        except (TypeError, ValueError):
-            raise ValueError(wanted) from None
-        if not boxes.size:
+        boxes = _numbers(rows)
+        if boxes.shape == (0,):
             boxes = boxes.reshape(0, len(geometry.BOX_COLUMNS))
-        if boxes.ndim != 2 or boxes.shape[1] != len(geometry.BOX_COLUMNS):
-            raise ValueError(wanted)
-        if not np.isfinite(boxes).all() or (boxes[:, 2:4] <= 0).any():
-            raise ValueError(wanted)
+        shaped = boxes.ndim == 2 and boxes.shape[1] == len(geometry.BOX_COLUMNS)
+        if not (shaped and np.isfinite(boxes).all() and (boxes[:, 2:4] > 0).all()):
+            raise ValueError(f"Layout '{self.name}': {what} must be finite rows {_BOX_ROW}, halves above 0.")
         boxes.flags.writeable = False
         return boxes
 
@@ -166,6 +161,18 @@ def max_maze_walls(size):
     return 2 * cells * (cells - 1) - (cells**2 - 1)
 
 
+_KEYS = {  # of a layout file: the types that each takes, in words
+    "name": ((str,), "a text"),
+    "size": ((int, float), "a number [m]"),
+    "obstacles": ((list,), f"a list of rows {_BOX_ROW}"),
+    "walls": ((list,), "a list of rows x0, y0, x1, y1"),
+    "regions": ((dict,), f"a table of {', '.join(REGIONS)}, each a list of rows {_BOX_ROW}"),
+    "routes": ((list,), "a list of routes, each a list of points (x, y)"),
+    "routed": ((bool,), "true or false"),
+    "pedestrians": ((int,), "a whole number"),
+}
+
+
 def load_layout(file):
     """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1 of
     walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
@@ -175,33 +182,39 @@ def load_layout(file):
             fields = tomllib.load(f)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"{file} is not TOML: {error}.") from None
-    known = {field.name for field in dataclasses.fields(Layout)} | {"walls"}
-    if unknown := set(fields) - known:
-        raise ValueError(f"{file}: unknown keys {sorted(unknown)}. A layout has {sorted(known)}.")
+    if unknown := set(fields) - set(_KEYS):
+        raise ValueError(f"{file}: unknown keys {sorted(unknown)}. A layout has {sorted(_KEYS)}.")
     if "size" not in fields:
         raise ValueError(f"{file}: missing 'size'.")
+    for key, value in fields.items():
+        types, form = _KEYS[key]
+        if type(value) not in types:
+            raise ValueError(f"{file}: {key} must be {form}, not {value!r}.")
     walls = fields.pop("walls", [])
-    rows = np.array([wall_box(file, wall) for wall in walls]).reshape(-1, len(geometry.BOX_COLUMNS))
-    obstacles = fields.pop("obstacles", [])
-    if len(obstacles) and len(rows):
-        rows = [*obstacles, *rows.tolist()]
-    return Layout(**{"routed": bool(walls), "obstacles": rows if len(rows) else obstacles, **fields})
-
-
-def wall_box(file, wall):
-    """The box (5,) of a wall (x0, y0, x1, y1) [m], WALL_THICKNESS thick, its ends half of that longer."""
     try:
-        x0, y0, x1, y1 = (float(value) for value in wall)
-    except (TypeError, ValueError):
-        raise ValueError(f"{file}: a wall is four numbers x0, y0, x1, y1, not {wall!r}.") from None
-    length = np.hypot(x1 - x0, y1 - y0)
-    return [
-        (x0 + x1) / 2,
-        (y0 + y1) / 2,
-        (length + WALL_THICKNESS) / 2,
-        WALL_THICKNESS / 2,
-        np.arctan2(y1 - y0, x1 - x0),
-    ]
+        boxes = [*fields.pop("obstacles", []), *map(wall_box, walls)]
+        return Layout(obstacles=boxes, **{"routed": bool(walls), **fields})
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def wall_box(wall):
+    """The box (5,) of a wall (x0, y0, x1, y1) [m], WALL_THICKNESS thick, its ends half of that longer."""
+    ends = _numbers(wall)
+    if ends.shape != (4,) or not np.isfinite(ends).all():
+        raise ValueError(f"a wall is four numbers x0, y0, x1, y1, not {wall!r}.")
+    x0, y0, x1, y1 = ends
+    half = (np.hypot(x1 - x0, y1 - y0) + WALL_THICKNESS) / 2
+    return np.array([(x0 + x1) / 2, (y0 + y1) / 2, half, WALL_THICKNESS / 2, np.arctan2(y1 - y0, x1 - x0)])
+
+
+def _numbers(rows):
+    """`rows` as an array of floats of its own: one NaN without axes where they are ragged or no numbers."""
+    try:
+        array = np.array(rows)  # a copy: the caller's array stays the caller's
+    except ValueError:
+        return np.array(np.nan)
+    return array.astype(float) if array.dtype.kind in "iuf" else np.array(np.nan)
 
 
 def load_level(level):
@@ -269,9 +282,8 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=No
         if not len(missing):
             break
         if region is None:
-            apart = np.sqrt(
-                rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing))
-            )  # uniform over the ring's area
+            # Uniform over the ring's area.
+            apart = np.sqrt(rng.uniform(distance[0] ** 2, distance[1] ** 2, len(missing)))
             angle = rng.uniform(-np.pi, np.pi, len(missing))
             drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         else:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from macid.crowd import Crowd, CrowdConfig
+from macid.crowd import Crowd, CrowdConfig, snapshot
 from macid.evaluate import level_seed
 from macid.layout import Layout, load_level
 from macid.observation import RAY_RANGE, RAYS, SIZE, observe
@@ -189,8 +189,7 @@ class CrowdParallelEnv(ParallelEnv):
     def _look(self, episode):
         """Observations (1, K, 41) at an Episode, and its moment: position, yaw, walking, collisions."""
         state = self.crowd.engine.read(episode.physics)
-        moment = state.position, state.yaw, episode.walking, episode.collisions
-        return observe(state, self.crowd.boxes, episode.goals), moment
+        return observe(state, self.crowd.boxes, episode.goals), snapshot(state, episode)
 
     def _advance(self, episode, action):
         """The next Episode under `action` (K, 2); observations, arrivals and rewards (K, ...); and its moment."""

@@ -95,14 +95,7 @@ class Policy:
 
     def save(self, path):
         """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
-        path = pathlib.Path(path)
-        arrays = {}
-        for index, (weight, bias) in enumerate(self.layers):
-            arrays[f"weight{index}"], arrays[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
-        write_bytes(path.with_suffix(".npz"), buffer.getvalue())
-        write_json(path.with_suffix(".json"), self.recipe)
+        write_network(path, self.layers, self.recipe)
 
     def to_torch(self):
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch."""
@@ -152,11 +145,28 @@ def load_policy(name):
         path = assets.path("policies", f"{matching[0]}.npz")
     elif not path.is_file():
         raise ValueError(f"There is no policy file '{name}'.")
+    return Policy(*read_network(path))
+
+
+def write_network(path, layers, recipe):
+    """Writes `path`.npz (weights and biases of `layers`) and `path`.json (`recipe`), each all or nothing."""
+    path = pathlib.Path(path)
+    arrays = {}
+    for index, (weight, bias) in enumerate(layers):
+        arrays[f"weight{index}"], arrays[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
+    write_json(path.with_suffix(".json"), recipe)
+
+
+def read_network(path):
+    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises ValueError for what is none."""
+    path = pathlib.Path(path)
     try:
-        arrays = np.load(path, allow_pickle=False)
-        count = len(arrays.files) // 2
-        layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(count))
-        recipe = json.loads(path.with_suffix(".json").read_text())
+        with np.load(path, allow_pickle=False) as arrays:
+            count = len(arrays.files) // 2
+            layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(count))
+        return layers, json.loads(path.with_suffix(".json").read_text())
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"'{path}' is not a policy (npz with its json beside it): {error}") from None
-    return Policy(layers, recipe)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from macid import drawing, geometry, metrics, scene
-from macid.crowd import Crowd, CrowdConfig
+from macid.crowd import Crowd, CrowdConfig, snapshot
 from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.evaluate import level_name, level_seed
 from macid.layout import WALL_THICKNESS, Layout, load_level
@@ -95,10 +95,6 @@ class Recording:
         return int(np.flatnonzero(self.walking[:, person])[-1])
 
 
-def _moment(state, episode):
-    return state.position, state.yaw, episode.walking, episode.collisions
-
-
 def record(pedestrian, level, config=CrowdConfig(), seed=0):
     """The episode that `macid evaluate --episodes 1` has for the same arguments, as a Recording.
 
@@ -109,8 +105,8 @@ def record(pedestrian, level, config=CrowdConfig(), seed=0):
     config = dataclasses.replace(config, number=layout.pedestrians)
     crowd = Crowd(layout, config)
     start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
-    end, moments = crowd.rollout(start, controller, record=_moment)
-    last = _moment(crowd.engine.read(end.physics), end)
+    end, moments = crowd.rollout(start, controller, record=snapshot)
+    last = snapshot(crowd.engine.read(end.physics), end)
     fields = [np.concatenate([each, final[None]])[:, 0] for each, final in zip(moments, last, strict=True)]
     lcf, goals = np.asarray(start.lcf)[0], np.asarray(start.goals)[0]
     return Recording(pedestrian, level, seed, layout, config.period, tuple(config.lcf), lcf, goals, *fields)

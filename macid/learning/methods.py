@@ -34,7 +34,6 @@ class Method:
     test_lcf: tuple[float, float] = (0.0, 0.0)  # the range for Table II
     coordination: Callable = linear
     mean_field: bool = False  # critics see the mean of the neighbours' features and actions beside one's own
-    alike: float = 0.0  # share of training crowds whose LCFs all lie in one sixth of the range, elsewhere in each crowd
     meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
 
     @property

@@ -1,7 +1,6 @@
 """The training loop: many worlds of a crowd that never stops, rolled out and learned from, all in one jitted step."""
 
 import dataclasses
-import json
 import pathlib
 import pickle
 import time
@@ -16,6 +15,7 @@ from macid.files import output_folder, write_bytes, write_json
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
+from macid.learning.curves import plain, thin, write_curve
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
@@ -184,7 +184,8 @@ class Trainer:
         if self.method.meta:
             lcf = copo.draw(meta.distribution, key_lcf, shape)
         else:
-            lcf = draw_lcf(key_lcf, shape, self.method.lcf, self.method.alike)
+            low, high = self.method.lcf
+            lcf = jax.random.uniform(key_lcf, shape, minval=low, maxval=high)
         return Walk(self.engine.init(self._starts[crowd], yaw), self._goals[crowd], lcf)
 
     def _new_goals(self, key, position):
@@ -293,17 +294,6 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, key, iteration), log
 
 
-def draw_lcf(key, shape, bounds, alike=0.0):
-    """LCFs of `shape` (nworld, K), uniform over `bounds`; in a share `alike` of the worlds over a sixth of them, whose
-    place differs from world to world."""
-    key_all, key_place, key_alike = jax.random.split(key, 3)
-    low, high = bounds
-    share = jax.random.uniform(key_all, shape)
-    place = jax.random.uniform(key_place, (shape[0], 1))
-    crowd_alike = jax.random.uniform(key_alike, (shape[0], 1)) < alike
-    return low + (high - low) * jnp.where(crowd_alike, (5 * place + share) / 6, share)
-
-
 def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, stop_after=None):
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
@@ -327,13 +317,13 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
         curves, spent = saved["curves"], saved["seconds"]
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
     for each, folder in zip(configs, folders, strict=True):
-        write_json(folder / "config.json", _plain(each))
+        write_json(folder / "config.json", plain(each))
 
     def save():
         content = {"configs": configs, "states": jax.tree.map(_keep, states), "curves": curves, "seconds": spent}
         write_bytes(checkpoint, pickle.dumps(content))
         for folder, curve in zip(folders, curves, strict=True):
-            _write_curve(folder / "curve.csv", curve)
+            write_curve(folder / "curve.csv", curve)
 
     begin = last_save = last_show = time.monotonic()
     before, done = spent, len(curves[0])
@@ -367,13 +357,13 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
         state = trainer.seed_state(states, index)
         recipe = {
             "name": each.name,
-            **_plain(each),
+            **plain(each),
             "agent_steps_done": done * trainer.samples,
             "seconds": round(spent / seeds, 1),
         }
         if state.meta is not None:
             recipe["lcf_mean"], recipe["lcf_std"] = map(float, copo.moments(state.meta.distribution))
-        recipe["curve"] = [{name: round(value, 4) for name, value in row.items()} for row in _thin(curve, 60)]
+        recipe["curve"] = [{name: round(value, 4) for name, value in row.items()} for row in thin(curve, 60)]
         policies.append(trainer.policy(state, recipe))
         policies[-1].save(folder / "policy")
     return policies
@@ -387,16 +377,3 @@ def _restore(saved, like):
     if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
         return jax.random.wrap_key_data(jnp.asarray(saved))
     return jnp.asarray(saved)
-
-
-def _plain(config):
-    return json.loads(json.dumps(dataclasses.asdict(config)))
-
-
-def _thin(rows, most):
-    return [rows[i] for i in np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
-
-
-def _write_curve(path, curve):
-    lines = [",".join(curve[0])] + [",".join(f"{value:.6g}" for value in row.values()) for row in curve]
-    write_bytes(path, ("\n".join(lines) + "\n").encode())

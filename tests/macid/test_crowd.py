@@ -117,9 +117,8 @@ def test_how_smoothly_people_walk_is_measured():
     crowd = Crowd(Layout(40.0, np.empty((0, 5))), CrowdConfig(number=2, duration=4.0))
 
     def controller(state, boxes, goals, lcf):  # the first walks up and down the speeds, the second stands and swings
-        step = (
-            jnp.round(state.yaw[:, 1] / (0.5 * 0.02)).astype(int) % 2
-        )  # its own clock: it turns by 0.01 rad a decision
+        # The second's yaw is the clock: it turns by 0.01 rad a decision.
+        step = jnp.round(state.yaw[:, 1] / (0.5 * 0.02)).astype(int) % 2
         speed = jnp.where(step == 0, 1.0, 0.6)
         commands = [
             jnp.stack([speed, 0 * speed, 0 * speed], -1),

@@ -144,13 +144,36 @@ def test_bad_densities_name_the_range(density):
         ("size = 9.0\nobstacles = [[0.0, 0.0, 1.0, nan, 0.0]]", "finite"),
         ("size = 9.0\nobstacles = [" + 5 * "[1.0, 1.0, 1.0, 1.0]," + "]", "half_x"),
         ("size = 9.0\nobstacles = [[1.0, 1.0, 1.0], [1.0]]", "half_x"),
-        ("size = 'wide'\nobstacles = []", "size"),
+        ("size = 'wide'\nobstacles = []", r"size must be a number \[m\], not 'wide'"),
+        ("size = true", r"size must be a number \[m\], not True"),
+        ("size = 9.0\nobstacles = 3", "obstacles must be a list of rows x, y, half_x, half_y, yaw, not 3"),
+        ("size = 9.0\nobstacles = 'none'", "obstacles must be a list"),
+        ("size = 9.0\nobstacles = [3]", "half_x"),
+        ("size = 9.0\nobstacles = [[]]", "half_x"),
+        ("size = 9.0\nobstacles = [['1', '1', '1', '1', '1']]", "half_x"),
+        ("size = 9.0\nobstacles = [[1.0, 1.0]]\nwalls = [[0, 0, 1, 1]]", "obstacles must be finite rows x"),
+        ("size = 9.0\nwalls = 3", "walls must be a list of rows x0, y0, x1, y1, not 3"),
+        ("size = 9.0\nwalls = {a = 1}", "walls must be a list"),
+        ("size = 9.0\nwalls = [3]", "a wall is four numbers x0, y0, x1, y1, not 3"),
+        ("size = 9.0\nwalls = ['1234']", "a wall is four numbers x0, y0, x1, y1, not '1234'"),
+        ("size = 9.0\nwalls = [[0, 0, 1, nan]]", "a wall is four numbers"),
+        ("size = 9.0\nregions = 3", "regions must be a table of robot_start, .* each a list of rows x, y, half_x"),
+        ("size = 9.0\nregions = ['robot_goal']", "regions must be a table"),
+        ("size = 9.0\nregions = {robot_goal = 3}", "region robot_goal must be finite rows x"),
+        ("size = 9.0\nregions = {robot_goal = [[1, 2]]}", "region robot_goal must be finite rows x"),
+        ("size = 9.0\nroutes = 3", r"routes must be a list of routes, each a list of points \(x, y\), not 3"),
+        ("size = 9.0\nroutes = [3]", r"a route needs two or more points \(x, y\)"),
+        ("size = 9.0\nroutes = ['left']", r"a route needs two or more points \(x, y\)"),
+        ("size = 9.0\nrouted = 'yes'", "routed must be true or false, not 'yes'"),
+        ("size = 9.0\npedestrians = 2.5", "pedestrians must be a whole number, not 2.5"),
+        ("size = 9.0\npedestrians = -1", "pedestrians must be at least 0, not -1"),
+        ("size = 9.0\nname = 3", "name must be a text, not 3"),
     ],
 )
 def test_a_bad_file_is_told(tmp_path, text, told):
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=f"bad.toml.*{told}"):
         load_layout(file)
 
 
@@ -160,6 +183,20 @@ def test_a_good_file(tmp_path):
     layout = load_layout(file)
     assert (layout.name, layout.size, layout.routed, layout.pedestrians) == ("mine", 9, True, 3)
     np.testing.assert_array_equal(layout.obstacles, [[1, 2, 0.5, 0.6, 0.1]])
+
+
+def test_walls_of_a_file_are_boxes_after_its_obstacles(tmp_path):
+    file = tmp_path / "walls.toml"
+    text = "size = 9.0\nwalls = [[-1, 2, 3, 2], [0, 0, 0, -2]]\n"
+    along, down = [1.0, 2.0, 2.15, 0.15, 0.0], [0.0, -1.0, 1.15, 0.15, -np.pi / 2]
+    file.write_text(text)
+    np.testing.assert_allclose(load_layout(file).obstacles, [along, down])
+    assert load_layout(file).routed
+    file.write_text(f"{text}obstacles = [[1, 2, 0.5, 0.6, 0.1]]\nrouted = false")
+    np.testing.assert_allclose(load_layout(file).obstacles, [[1, 2, 0.5, 0.6, 0.1], along, down])
+    assert not load_layout(file).routed
+    file.write_text("size = 9.0")
+    assert load_layout(file).obstacles.shape == (0, 5) and not load_layout(file).routed
 
 
 @pytest.mark.parametrize("level", [0, 5, "1"])

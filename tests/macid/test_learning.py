@@ -12,7 +12,7 @@ import pytest
 
 from macid.layout import clearance, load_level
 from macid.learning import methods, ppo
-from macid.learning.train import PRESETS, TrainConfig, Trainer, draw_lcf, train
+from macid.learning.train import PRESETS, TrainConfig, Trainer, train
 from macid.policy import FEATURES, load_policy
 from macid.state import RADIUS
 
@@ -171,16 +171,6 @@ def test_seeds_at_once_are_the_seeds_alone(method):
         for a, b in zip(jax.tree.leaves(one.parameters), jax.tree.leaves(state.parameters), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-4)
         np.testing.assert_allclose(one.walk.lcf, state.walk.lcf, atol=1e-6)
-
-
-def test_a_share_of_the_crowds_is_alike():
-    lcf = np.asarray(draw_lcf(jax.random.key(0), (400, 30), (-2.0, 2.0), alike=0.25))
-    spread = np.ptp(lcf, axis=1)
-    assert (lcf >= -2).all() and (lcf <= 2).all()
-    alike = spread <= 4 / 6
-    assert 0.15 < alike.mean() < 0.35 and spread[~alike].min() > 2.0
-    assert np.ptp(lcf[alike].mean(axis=1)) > 2.5  # elsewhere in each crowd
-    assert (np.ptp(np.asarray(draw_lcf(jax.random.key(0), (400, 30), (-2.0, 2.0))), axis=1) > 2.0).all()
 
 
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another():

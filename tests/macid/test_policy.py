@@ -31,7 +31,7 @@ def test_numpy_jax_and_torch_agree():
     made, (seen, lcf) = make(), observations(200)
     expected = made(seen, lcf)
     np.testing.assert_allclose(jax.jit(made)(jnp.asarray(seen), jnp.asarray(lcf)), expected, atol=1e-5)
-    torch = pytest.importorskip("torch", reason="torch is in no extra of this version")
+    torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
     module = made.to_torch()
     np.testing.assert_allclose(module(torch.as_tensor(seen), torch.as_tensor(lcf)).detach(), expected, atol=1e-5)
 

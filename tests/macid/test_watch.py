@@ -21,9 +21,7 @@ PROBLEM = drawing.gl_problem()
 needs_gl = pytest.mark.skipif(PROBLEM is not None, reason=str(PROBLEM))
 
 BOX = [-5.0, 5.0, 1.5, 0.5, 0.3]
-PLACES = np.array(
-    [[-6.0, 0.0], [2.0, 0.0], [-9.0, 0.0], [4.0, -6.0]]
-)  # the second ahead of the first, the third behind
+PLACES = np.array([[-6.0, 0.0], [2.0, 0.0], [-9.0, 0.0], [4.0, -6.0]])  # the first has the second ahead, third behind
 
 
 def recording(lcf=(0.0, -2.0, 2.0, 1.0), leaves=None, steps=100):
