@@ -24,6 +24,7 @@ INFO = (
     "collisions_wall",
     "nearest_person",
     "arrived",
+    "fault",
 )
 
 
@@ -68,7 +69,8 @@ class Session:
         """One control step of the worlds `ids` under `action` (n, 2) in [-1, 1]: shares of the top speed and yaw rate.
 
         Returns observations, reward (n,), terminated (n,), truncated (n,). The reward is eq. 5's: the distance is the
-        metres that the goal came closer in this step, a collision any contact during it.
+        metres that the goal came closer in this step, a collision any contact during it. A world whose physics failed
+        (its `fault` in the info) is truncated, and its observation is the last good one.
         """
         world, config = self.world, self.config
         if not world.begun(ids):
@@ -76,10 +78,11 @@ class Session:
         limit = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
         distance, collisions = world.distance[ids].copy(), world.collisions[ids].copy()
         world.step(ids, np.clip(action, -1.0, 1.0) * limit)
-        arrived = world.arrived[ids].copy()
+        failed = world.fault[ids] != ""
+        arrived = world.arrived[ids] & ~failed
         collided = world.collisions[ids] > collisions
         reward = individual_reward(distance - world.distance[ids], arrived, collided, config.reward)
-        return self.observe(ids), reward, arrived, (world.steps[ids] >= config.horizon) & ~arrived
+        return self.observe(ids), reward, arrived, failed | (world.steps[ids] >= config.horizon) & ~arrived
 
     def info(self, ids):
         """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies. See World."""
@@ -96,6 +99,7 @@ class Recorder:
         self._world, self._index = session.world, index
         recorded = ("pose", "velocity", "people", "people_velocity", "qpos", "nearest_person", "collisions")
         self._rows = {name: [] for name in recorded}
+        self._people_goals = self._world.destinations(index)
         self.snap()
 
     def snap(self):
@@ -122,6 +126,8 @@ class Recorder:
             lcf=world.lcf[index].copy(),
             period=world.config.control_period,
             robot_radius=world.config.robot.radius,
+            people_goals=self._people_goals,
+            fault=str(world.fault[index]),
             **{_RECORDED.get(name, name): np.array(rows) for name, rows in self._rows.items()},
         )
 

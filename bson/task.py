@@ -5,7 +5,7 @@ import typing
 
 import numpy as np
 
-from bson.robot import RobotConfig
+from bson.robot import JACKAL, RobotConfig, robot_config
 from macid import layout as layouts
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
@@ -41,7 +41,7 @@ class TaskConfig:
     horizon: int = 1000  # control steps until truncation
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
     reward: RewardWeights = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
-    robot: RobotConfig = RobotConfig()
+    robot: RobotConfig | str = JACKAL.config  # a name or file (bson.robot), or a dict of numbers changed
 
     def __post_init__(self):
         from macid.pedestrians import make_controller
@@ -82,8 +82,8 @@ class TaskConfig:
         object.__setattr__(self, "pedestrian_model", _models(self.pedestrian_model))
         if self.lcf_each is not None:
             object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
-        for name, kind in (("reward", RewardWeights), ("robot", RobotConfig)):
-            object.__setattr__(self, name, _as_dataclass(name, getattr(self, name), kind))
+        object.__setattr__(self, "reward", _weights(self.reward))
+        object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
             make_controller(name, self.decision_period)
 
@@ -185,14 +185,14 @@ def _each(values, people):
     return values
 
 
-def _as_dataclass(name, value, kind):
-    """`value`, or the `kind` that a dict of its fields stands for. Raises ValueError, naming the fields."""
-    if isinstance(value, kind):
+def _weights(value):
+    """`value`, or the default RewardWeights with a dict's numbers. Raises ValueError, naming the fields."""
+    if isinstance(value, RewardWeights):
         return value
-    fields = [field.name for field in dataclasses.fields(kind)]
+    fields = [field.name for field in dataclasses.fields(RewardWeights)]
     if isinstance(value, dict) and set(value) <= set(fields) and all(_is_number(v) for v in value.values()):
-        return dataclasses.replace(getattr(TaskConfig, name), **value)
-    raise ValueError(f"{name} must be a dict of numbers for {', '.join(fields)}, not {value!r}.")
+        return dataclasses.replace(TaskConfig.reward, **value)
+    raise ValueError(f"reward must be a dict of numbers for {', '.join(fields)}, not {value!r}.")
 
 
 def _multiple(name, value, of_name, of):

@@ -5,7 +5,6 @@ commands, never on its neighbours in the batch, bit for bit: physics is stepped 
 much, and pedestrians decide by one compiled program a world, since a vectorised one may round differently.
 """
 
-import copy
 import functools
 import os
 
@@ -29,11 +28,18 @@ MAP_RESOLUTION = 0.25  # of the occupancy map [m]
 _FAR = np.inf
 _KINDS = ("person", "robot_on_person", "obstacle", "wall")  # of collisions
 _CLOSING_SPEED = 10.0  # that no robot and person exceed [m/s]
+_DIVERGED = 100.0  # a speed of a person or robot that only failed physics gives [m/s, rad/s]
+_ABSENT = 1000.0  # how far off the map a robot stands that takes no part [m]
+_ADDRESSES = {  # of joints, in what a warning of MuJoCo's counts
+    mujoco.mjtWarning.mjWARN_BADQPOS: "jnt_qposadr",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "jnt_dofadr",
+    mujoco.mjtWarning.mjWARN_BADQACC: "jnt_dofadr",
+}
 _jax_process = None  # the process in which pedestrians first decided
 
 
-def build_model(config: TaskConfig, sensors):
-    """The MjModel of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
+def build_spec(config: TaskConfig, sensors):
+    """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
     if config.map is None:
         example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
     else:
@@ -41,10 +47,15 @@ def build_model(config: TaskConfig, sensors):
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
     scene.add_boxes(spec, example.boxes, movable=True)
-    robot.add_robot(spec)
+    robot.add_robot(spec, robot.describe(config.robot))
     for sensor in sensors:
         sensor.mount(spec)
-    return spec.compile()
+    return spec
+
+
+def build_model(config: TaskConfig, sensors):
+    """The MjModel of a world as it looks, for films."""
+    return build_spec(config, sensors).compile()
 
 
 def _way(layout, router, person, place, goal):
@@ -80,21 +91,23 @@ class World:
     people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,), models (K,): which of the config's; and counts of physics steps (0.02 s) in which the
     robot touched anything (collisions), a person, an obstacle, an outer wall; and, of those with a person, in which it
     moved towards whom it touched at more than APPROACH (collisions_robot_on_person).
+    fault: "", or what became infinite or not a number; such a world stays as it last was until its reset.
     """
 
-    def __init__(self, config: TaskConfig, nworld=1, sensors=(), nthread=0):
+    def __init__(self, config: TaskConfig, nworld=1, sensors=(), nthread=0, with_robot=True):
+        """with_robot: False puts the robots where nobody sees or meets them: the same people among themselves."""
+        self._away = 0.0 if with_robot else config.map_size + _ABSENT
         self.config, self.nworld, self.sensors = config, nworld, tuple(sensors)
         if len({sensor.key for sensor in self.sensors}) < len(self.sensors):
             raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
         self._every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
-        self.scene = build_model(config, self.sensors)  # as it looks
-        model = copy.copy(self.scene)
-        for index in range(model.nmat):  # rays don't see the robot's own paint: a real scanner masks its robot
-            if model.material(index).name.startswith("robot/"):
-                model.mat_rgba[index, 3] = 0.0
-        self.model = model
+        spec = build_spec(config, self.sensors)
+        self.scene = spec.compile()  # as it looks
+        robot.hide_robot(spec)
+        self.model = model = spec.compile()  # as it moves and is sensed
         self.batch = mujoco.batch.Batch(model, nworld, nthread)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._last_qpos = self._qpos.copy()  # as last sensed
         self._ctrl = self.batch.bind("ctrl")
         self._mocap_pos, self._mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
         # Sensors are computed once a control step, not in each physics step.
@@ -108,7 +121,8 @@ class World:
         k = config.people
         self._people = slice(0, 3 * k)
         self._robot_qpos, self._robot_qvel = slice(3 * k, 3 * k + 7), slice(3 * k, 3 * k + 6)
-        self._robot_ctrl = slice(3 * k, 3 * k + 4)
+        self.robot = robot.describe(config.robot)
+        self._robot_ctrl = robot.wheel_actuators(model, self.robot)
         self.layouts = [None] * nworld
         self._occupancy = [None] * nworld
         self.boxes = np.zeros((nworld, model.nmocap, 5))
@@ -123,6 +137,7 @@ class World:
         for name in ("steps", "collisions", *(f"collisions_{kind}" for kind in _KINDS)):
             setattr(self, name, np.zeros(nworld, np.int64))
         self.arrived = np.zeros(nworld, bool)
+        self.fault = np.full(nworld, "", object)
         self.readings = {
             sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self.sensors
         }
@@ -160,6 +175,11 @@ class World:
             self._occupancy[index] = occupancy_grid(self.layouts[index], MAP_RESOLUTION, radius=0.0)
         return self._occupancy[index]
 
+    def destinations(self, index):
+        """Where the people of a world go, at the end of their ways: (K, 2) [m]."""
+        ways = zip(self.people_goals[index], self._routes[index], strict=True)
+        return np.reshape([route[-1] if len(route) else goal for goal, route in ways], (-1, 2))
+
     def reset(self, ids, seeds):
         """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
         ids = np.asarray(ids, dtype=int)
@@ -187,6 +207,7 @@ class World:
             self._mocap_quat[index] = geometry.yaw_quaternion(boxes[:, 4])
             self._qpos[index, self._people] = s.people.ravel()
             self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
+            self._qpos[index, self._robot_qpos.start] += self._away
             self.goal[index], self.lcf[index], self.models[index] = s.goal, s.lcf, s.models
             self._routes[index] = [way[1:] for way in ways]
             self.people_goals[index] = np.reshape([way[0] for way in ways], (-1, 2))
@@ -197,22 +218,62 @@ class World:
             getattr(self, counter)[ids] = 0
         for kind in _KINDS:
             getattr(self, f"collisions_{kind}")[ids] = 0
+        self.fault[ids] = ""
         self._sense(ids)
 
     def step(self, ids, command):
         """One control step of the worlds `ids`: `command` (n, 2), v [m/s] and w [rad/s], held for the control period."""
-        ids = np.asarray(ids, dtype=int)
-        self._ctrl[ids, self._robot_ctrl] = robot.wheel_speeds(command, self.config.robot)
+        sound = self.fault[ids] == ""
+        ids, command = np.asarray(ids, dtype=int)[sound], np.asarray(command)[sound]
+        self._ctrl[ids[:, None], self._robot_ctrl] = robot.wheel_speeds(command, self.robot)
         for _ in range(self.config.decisions):
             if self.config.people:
                 self._command_people(ids)
             before = robot.planar_pose(self._qpos[ids, self._robot_qpos])
             record = self.batch.rollout(self.config.substeps, record=("qpos",), ids=ids)["qpos"]
+            sound = self._check(ids)
+            if not sound.all():
+                ids, before, record = ids[sound], before[sound], record[sound]
             self._account(ids, before, record)
             self._advance_people(ids)
         self.steps[ids] += 1
         self.time[ids] = np.round(self.steps[ids] * self.config.control_period, 9)
         self._sense(ids)
+
+    def _check(self, ids):
+        """Whether physics went well in each of the worlds `ids`: (n,) bool; the others get their fault.
+
+        MuJoCo puts a state that is not finite back to the model's default and goes on from there: only its count of
+        warnings tells.
+        """
+        warnings, qvel = self.batch.warning[ids, :, 1], self._qvel[ids]
+        speed = np.abs(np.concatenate([qvel[:, self._people], qvel[:, self._robot_qvel]], axis=-1))
+        sound = ~warnings.any(axis=-1) & (speed <= _DIVERGED).all(axis=-1)
+        for row in np.flatnonzero(~sound):
+            if warnings[row].any():
+                what = self._warned(ids[row], mujoco.mjtWarning(int(warnings[row].argmax())))
+            else:
+                fastest = int(speed[row].argmax())
+                what = f"{self._joint('jnt_dofadr', fastest)} moves at {speed[row, fastest]:.0f} m/s or rad/s"
+            self._fail(ids[row], what)
+        return sound
+
+    def _warned(self, index, warning):
+        """What MuJoCo warned of in a world, in its words."""
+        number = int(self.batch.warning[index, warning, 0])
+        words = mujoco.mju_warningText(warning, number).split(". ")[0]
+        if warning in _ADDRESSES:
+            words += f", {self._joint(_ADDRESSES[warning], number)}"
+        return words
+
+    def _joint(self, addresses, number):
+        """The name of the joint whose part of the model's `addresses` has `number`."""
+        return self.model.joint(int(np.searchsorted(getattr(self.model, addresses), number, "right")) - 1).name
+
+    def _fail(self, index, what):
+        """Gives a world its fault, and its last finite configuration back, at rest."""
+        self.fault[index] = what
+        self._qpos[index], self._qvel[index] = self._last_qpos[index], 0.0
 
     def _compile_decision(self, controllers):
         """The pedestrians' decision in one world, jitted; the robot is one more disc, last in the state."""
@@ -312,7 +373,7 @@ class World:
 
     def _people_in(self, qpos):
         """Places (..., K, 2) [m] of the people in `qpos` (..., nq)."""
-        return qpos[..., self._people].reshape(*qpos.shape[:-1], -1, 3)[..., :2]
+        return qpos[..., self._people].reshape(*qpos.shape[:-1], self.config.people, 3)[..., :2]
 
     def _person_gaps(self, poses, qpos):
         """Surface gaps [m] between the robot's footprint at `poses` (..., 3) and the people of `qpos` (..., nq): (..., K)."""
@@ -337,7 +398,7 @@ class World:
         self._flags[ids] = self._sensors_on
         self.batch.forward(ids)
         self._flags[ids] = self._sensors_off
-        qpos = self._qpos[ids]
+        qpos = self._last_qpos[ids] = self._qpos[ids]
         robot_qpos = qpos[:, self._robot_qpos]
         self.pose[ids] = robot.planar_pose(robot_qpos)
         self.velocity[ids] = robot.planar_velocity(robot_qpos, self._qvel[ids][:, self._robot_qvel])
@@ -351,6 +412,10 @@ class World:
             if not len(due):
                 continue
             readings = read(self, due)
+            finite = np.isfinite(readings).reshape(len(due), -1).all(axis=-1)
+            for index in due[~finite]:
+                self._fail(index, f"the reading '{sensor.key}' is not finite")
+            due, readings = due[finite], readings[finite]
             if sensor.noise:
                 for row, index in enumerate(due):
                     readings[row] = sensor.noisy(readings[row], noise[index])

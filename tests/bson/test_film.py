@@ -23,7 +23,7 @@ def model():
     spec = scene.base_spec(SIZE)
     scene.add_people(spec, 2)
     scene.add_boxes(spec, np.array([*WALLS, [2.0, -4.0, 1.5, 0.1, 0.5]]), movable=True)
-    robot.add_robot(spec)
+    robot.add_robot(spec, robot.JACKAL)
     return spec.compile()
 
 

@@ -1,6 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
+from bson.suites import Cell
 from bson.task import TaskConfig, spawn
 from macid import geometry
 from macid.layout import NoFreeSpace
@@ -43,6 +46,11 @@ def test_defaults_are_the_papers():
         ({"lcf_each": [0.0, 1.0]}, "lcf_each must be 24 numbers"),
         ({"reward": 3}, "distance, goal, collision"),
         ({"robot": {"max_sped": 1.0}}, "max_speed"),
+        ({"robot": {"max_speed": -1.0}}, "max_speed must be a number above 0"),
+        ({"robot": "jakal"}, "Unknown robot 'jakal'. Choose one of courier, diffbot, jackal, or a .toml file"),
+        ({"robot": {"name": "jakal"}}, "courier, diffbot, jackal"),
+        ({"robot": "no/such.toml"}, "no robot file 'no/such.toml'"),
+        ({"robot": 3}, "one of courier, diffbot, jackal, a .toml file, or a dict of name, max_speed"),
         ({"control_period": 1e9}, "at most 10 s"),
     ],
 )
@@ -126,3 +134,16 @@ def test_each_pedestrian_may_have_an_lcf_of_its_own():
     np.testing.assert_allclose(drawn.lcf, given)
     other = spawn(TaskConfig(num_pedestrians=5), np.random.default_rng(0))
     np.testing.assert_array_equal(drawn.people, other.people)
+
+
+def test_a_robot_is_a_name_or_numbers_changed():
+    assert TaskConfig(robot="jackal") == TaskConfig()
+    slow = TaskConfig(robot={"name": "diffbot", "max_speed": 0.5})
+    assert slow.robot == dataclasses.replace(TaskConfig(robot="diffbot").robot, max_speed=0.5)
+    assert TaskConfig(robot=dataclasses.asdict(slow.robot)) == slow  # as a run's results have it
+    assert TaskConfig(robot={"max_speed": 1.0}).robot.name == "jackal"
+
+
+def test_a_suites_content_knows_other_robots_only():
+    content = [Cell((), TaskConfig(robot=name)).content[1]["robot"] for name in ("jackal", "diffbot")]
+    assert set(content[1]) - set(content[0]) == {"files"}

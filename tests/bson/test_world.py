@@ -1,4 +1,3 @@
-import copy
 import os
 import warnings
 
@@ -238,12 +237,13 @@ def test_pedestrians_may_decide_more_often_than_the_robot():
     assert not np.array_equal(fast.people, slow.people)
 
 
-def test_rays_pass_the_robots_paint_but_pictures_show_it():
+def test_rays_pass_the_robot_but_films_show_it():
     world = World(TaskConfig(num_pedestrians=0), 1, SENSORS)
-    paint = [i for i in range(world.scene.nmat) if world.scene.material(i).name.startswith("robot/")]
-    assert (world.model.mat_rgba[paint, 3] == 0).all()
-    assert (world.scene.mat_rgba[paint, 3] > 0).all()
-    assert copy.copy(world.scene).nq == world.model.nq
+    for model, seen in ((world.model, False), (world.scene, True)):
+        own = [i for i in range(model.ngeom) if model.body(model.geom_bodyid[i]).name.startswith("robot/")]
+        rgba = np.where(model.geom_matid[own, None] < 0, model.geom_rgba[own], model.mat_rgba[model.geom_matid[own]])
+        assert (rgba[:, 3] > 0).any() == seen
+    assert (world.model.nq, world.model.nsensordata) == (world.scene.nq, world.scene.nsensordata)
 
 
 def test_the_scene_has_people_as_tall_as_the_paper_says():
@@ -281,6 +281,71 @@ def test_small_maps_run_on_and_a_failed_reset_changes_nothing():
     with pytest.raises(NoFreeSpace):
         crowded.reset([0], [1])
     assert crowded.seed[0] == 0 and np.array_equal(crowded.qpos[0], before)
+
+
+CALM = TaskConfig(num_pedestrians=4, map_size=20.0, goal_distance=(6, 15), pedestrian_model="social-force")
+
+
+@pytest.fixture(scope="module")
+def calm():
+    """Two worlds after two control steps, and how the second one goes on: (world, its (3, nq) qpos)."""
+    world = World(CALM, 2, SENSORS)
+    world.reset([0, 1], [1, 2])
+    expected = []
+    for step in range(5):
+        world.step([0, 1], np.ones((2, 2)))
+        expected.append(world.qpos[1].copy())
+    return world, expected
+
+
+@pytest.mark.parametrize(
+    ("field", "place", "value", "told"),
+    [
+        ("qvel", 0, np.nan, "QVEL at DOF 0, person0/x"),
+        ("qvel", 5, np.inf, "QVEL at DOF 5, person1/yaw"),
+        ("qvel", 12, 1e30, "QVEL at DOF 12, robot"),
+        ("qvel", 19, np.nan, "QVEL at DOF 19, robot/rear_left_wheel"),
+        ("qpos", 4, np.nan, "QPOS at DOF 4, person1/y"),
+        ("qvel", 3, 1e4, "person1/x moves at"),  # finite, and absurd
+        ("people_goals", 2, np.nan, "CTRL at ACTUATOR"),  # whoever decides says what is no number
+    ],
+)
+def test_failed_physics_is_named_and_stays_in_its_world(calm, field, place, value, told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings there
+    world, expected = calm
+    world.reset([0, 1], [1, 2])
+    for step in range(2):
+        world.step([0, 1], np.ones((2, 2)))
+    before = world.qpos[0].copy(), world.readings["lidar"][0].copy(), world.pose[0].copy()
+    broken = {"qpos": world._qpos, "qvel": world._qvel, "people_goals": world.people_goals}[field]
+    broken[0].reshape(-1)[place] = value
+    for step in range(2, 5):
+        world.step([0, 1], np.ones((2, 2)))
+        assert told in world.fault[0] and world.fault[1] == ""
+        assert np.array_equal(world.qpos[1], expected[step])
+        assert (world.steps[0], world.time[0]) == (2, 0.2)
+        for now, then in zip((world.qpos[0], world.readings["lidar"][0], world.pose[0]), before, strict=True):
+            assert np.array_equal(now, then)
+    world.reset([0], [2])
+    for step in range(5):
+        world.step([0], np.ones((1, 2)))
+    assert world.fault[0] == "" and np.array_equal(world.qpos[0], expected[4])
+
+
+def test_a_world_without_its_robot_has_the_same_people_who_see_none():
+    config = TaskConfig(num_pedestrians=4, map_size=20.0, goal_distance=(6, 15))
+    with_one, without = World(config), World(config, with_robot=False)
+    for world in (with_one, without):
+        world.reset([0], [4])
+    assert np.array_equal(with_one.people, without.people)
+    assert np.array_equal(with_one.destinations(0), without.destinations(0))
+    state = with_one.people[0, 0, :2] + [0.75, 0.0]
+    put(with_one, (*state, 0.0), with_one.people[0])  # in somebody's face
+    for world in (with_one, without):
+        for _ in range(10):
+            world.step([0], [[0.0, 0.0]])
+    assert np.abs(with_one.people[0, 0] - without.people[0, 0]).max() > 0.01
+    assert without.nearest_person[0] > 500.0 and without.collisions[0] == 0 and without.fault[0] == ""
 
 
 def test_people_walk_to_and_fro_on_their_routes():
