@@ -6,20 +6,14 @@ import time
 
 import numpy as np
 
+from bson import tracks
 from bson.evaluate import versions
-from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
 from bson.session import Session
 from bson.task import TaskConfig
-from bson.tracks import LocalTrack
 
 PEOPLE = (24, 50, 100, 200)
 BATCHES = (1, 16)
-SENSORS = {
-    "none": (),
-    "lidar2d": (Imu(), Lidar2D()),
-    "lidar3d": (Imu(), Lidar3D()),
-    "camera": (Imu(), RgbCamera(), DepthCamera()),
-}
+SENSORS = {"none": (), **tracks.SENSORS}
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 
 
@@ -48,7 +42,7 @@ def measure_speed(config, sensors, nworld, seconds=2.0):
 
     Counted are physics, pedestrians, sensors, observation and reward, and the resets of worlds that end.
     """
-    session = Session(config, LocalTrack(sensors=sensors), nworld, seeds=range(nworld))
+    session = Session(config, tracks.LocalTrack(sensors), nworld, seeds=range(nworld))
     ids = np.arange(nworld)
     session.reset(ids, ids)
     action = np.tile(_ACTION, (nworld, 1))
@@ -77,7 +71,13 @@ def machine():
 
 
 def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, model="macid", show=print):
-    """Prints the table, a line a case as it is measured; returns its rows as dicts."""
+    """Prints the table, a line a case as it is measured; returns its rows as dicts.
+
+    Raises ValueError for a sensor set that is not among SENSORS.
+    """
+    for sensor in sensors:
+        if sensor not in SENSORS:
+            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
     show(machine())
     show(f"pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")
     show(f"{'people':>7}{'worlds':>8}{'sensor':>10}{'control steps/s':>17}{'in MuJoCo':>11}")

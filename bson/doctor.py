@@ -1,4 +1,4 @@
-"""Is this installation well? Versions, GL, threads, and how to mend what is missing."""
+"""Is this installation well? Versions, GL, threads, sensors, and how to mend what is missing."""
 
 import contextlib
 import importlib
@@ -59,6 +59,40 @@ def _gl():
     return f"offscreen pictures work (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')})"
 
 
+def _read(cameras):
+    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be right."""
+    import numpy as np
+
+    from bson.sensors import Camera
+    from bson.task import TaskConfig
+    from bson.tracks import SENSORS
+    from bson.world import World
+
+    known = {sensor.key: sensor for sensors in SENSORS.values() for sensor in sensors}
+    chosen = [sensor for sensor in known.values() if isinstance(sensor, Camera) == cameras]
+    world = World(TaskConfig(num_pedestrians=0), sensors=chosen)
+    world.reset([0], [0])
+    for sensor in chosen:
+        reading = world.readings[sensor.key][0]
+        if not sensor.space.contains(reading):
+            raise RuntimeError(f"'{sensor.key}' reads what is not in its space")
+        if np.ptp(reading) == 0:  # in an empty room, too, walls, ground and gravity differ
+            raise RuntimeError(f"'{sensor.key}' reads {reading.flat[0]:g} everywhere")
+    return "a reading each of " + ", ".join(sensor.key for sensor in chosen)
+
+
+def _sensors():
+    return _read(cameras=False)
+
+
+def _cameras():
+    from macid.drawing import gl_problem
+
+    if gl_problem():
+        raise RuntimeError("not tried: there are no pictures here")
+    return _read(cameras=True)
+
+
 # (what, check, whether nothing works without, how to mend it)
 CHECKS = (
     ("python", _python, True, "install Python 3.11 or newer and run tools/setup.sh again"),
@@ -67,12 +101,14 @@ CHECKS = (
     ("assets", _assets, True, "reinstall the package"),
     ("physics", _physics, True, "reinstall mujoco>=3.17,<4"),
     ("jax", _jax, True, "reinstall jax"),
+    ("sensors", _sensors, True, "reinstall mujoco>=3.17,<4"),
     ("pictures", _gl, False, "apt-get install libegl1 libgl1-mesa-dri, and leave MUJOCO_GL unset or egl"),
+    ("cameras", _cameras, False, "as pictures"),
 )
 
 
 def run(show=print):
-    """Prints a line a check; returns whether all that is needed is there (pictures are not)."""
+    """Prints a line a check; returns whether all that is needed is there (pictures and cameras are not)."""
     well = True
     for name, check, needed, remedy in CHECKS:
         try:

@@ -89,10 +89,11 @@ class BsonEnv(gymnasium.Env):
     Eq. 5: 1.0 per metre that the goal came closer, +2.0 at the goal, -1.0 in a control step with any contact.
 
     ## Episode
-    It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps. `info` has the seed of the
+    It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps, or where physics fails. `info` has the seed of the
     episode, time, pose and goal (world frame), start_distance (d_i), distance (d_f), travelled, collisions (steps of
     0.02 s in contact) and collisions_person, _robot_on_person, _obstacle, _wall, nearest_person (surface to surface; inf if nobody) and
-    arrived: all that the metrics need.
+    arrived: all that the metrics need; and fault: "", or what of the physics became infinite or not a number, which no
+    observation shows.
 
     ## Arguments
     The fields of `bson.task.TaskConfig` (num_pedestrians or pedestrian_density, obstacle_density, pedestrian_model,

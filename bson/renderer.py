@@ -8,47 +8,27 @@ import numpy as np
 from macid import drawing
 
 
-class Renderer:
+class Renderer(drawing.Offscreen):
     """Draws what the cameras of `model` see, without shadows; each picture is as large as its camera's resolution.
 
     model: as sensors see it; it is copied. Close it, or let it go; raises macid.drawing.Unavailable without OpenGL.
     """
 
     def __init__(self, model):
-        model = self._model = copy.copy(model)
-        model.vis.global_.offwidth, model.vis.global_.offheight = model.cam_resolution.max(axis=0)
+        model = copy.copy(model)
         # A pixel is the ray through its middle, so that its depth is that of one surface: no samples beside it.
         quality = model.vis.quality
         quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
-        self._gl = self._context = None
-        self._gl = drawing.gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
-        drawing.close_at_exit(self)
-        self._context = drawing.offscreen(model)
+        super().__init__(model, model.cam_resolution.max(axis=0), extra=100)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        self._data = mujoco.MjData(model)
-        self._scene = mujoco.MjvScene(model, model.ngeom + 100)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
-        self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
-        self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._frames = {}
 
-    def __del__(self):
-        self.close()
-
-    def close(self):
-        """Frees the graphics resources."""
-        gl, context = getattr(self, "_gl", None), getattr(self, "_context", None)
-        self._gl = self._context = None
-        if gl is not None:
-            if context is not None:
-                gl.make_current()
-                context.free()
-            gl.free()
-
     def view(self, name):
         """The view of the camera `name`: a number that cameras share that see the same."""
-        model = self._model
+        model = self.model
         same = np.ones(model.ncam, bool)
         for field in ("bodyid", "pos", "quat", "resolution", "sensorsize", "intrinsic"):
             rows = getattr(model, f"cam_{field}").reshape(model.ncam, -1)
@@ -62,7 +42,7 @@ class Renderer:
         world's sensors are read (`world.sensed`), however many sensors share it.
         """
         if view not in self._frames:
-            width, height = self._model.cam_resolution[view]
+            width, height = self.model.cam_resolution[view]
             self._frames[view] = (
                 np.full(world.nworld, -1),
                 np.zeros((world.nworld, height, width, 3), np.uint8),
@@ -71,9 +51,7 @@ class Renderer:
         drawn, rgb, depth = self._frames[view]
         stale = ids[drawn[ids] != world.sensed]
         if len(stale):
-            if self._gl is None:
-                raise ValueError("This world's cameras are closed.")
-            self._gl.make_current()
+            self.make_current()
             for index in stale:
                 self._draw(world.batch, view, index, rgb[index], depth[index])
             drawn[stale] = world.sensed
@@ -81,16 +59,13 @@ class Renderer:
 
     def _draw(self, batch, view, index, rgb, depth):
         """Draws world `index` of `batch` into `rgb` (H, W, 3) and `depth` (H, W)."""
-        model, data, scene = self._model, self._data, self._scene
-        batch.get_data(index, data)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_camlight(model, data)
+        batch.get_data(index, self.data)
         self._camera.fixedcamid = view
-        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+        self.place(self._camera)
         rect = mujoco.MjrRect(0, 0, depth.shape[1], depth.shape[0])
-        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_render(rect, self.scene, self._context)
         mujoco.mjr_readPixels(rgb, depth, rect, self._context)
         rgb[:], depth[:] = rgb[::-1].copy(), depth[::-1].copy()  # OpenGL begins below
-        near, far = float(scene.camera[0].frustum_near), float(scene.camera[0].frustum_far)
+        camera = self.scene.camera[0]
+        near, far = float(camera.frustum_near), float(camera.frustum_far)
         depth[:] = near * far / (near + depth.astype(np.float64) * (far - near))  # 1 is near, 0 far

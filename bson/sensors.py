@@ -153,7 +153,9 @@ class Mounted(Sensor):
         sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
         frame = np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
         if self.position is None:
-            return site.parent, site.pos, frame
+            turned = np.empty(9)
+            mujoco.mju_quat2Mat(turned, site.quat)
+            return site.parent, site.pos, turned.reshape(3, 3) @ frame
         return spec.joint(robot).parent, self.position, frame
 
 
@@ -165,26 +167,27 @@ def _quaternion(frame):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Lidar(Mounted):
-    """A scanner that measures distances along `directions`. A beam that meets nothing within range_max reads
-    range_max; nothing reads below range_min.
+class Ranging(Mounted):
+    """A sensor that measures distances along `directions`. Where nothing is met within range_max it reads range_max;
+    nothing reads below range_min.
 
-    sigma: standard deviation of a distance [m], times `noise`.
+    sigma: standard deviation of a distance, times `noise`; in metres unless the sensor says otherwise.
     """
 
     range_min: float
     range_max: float
     sigma: float
+    _sigma_unit = "m"
 
     def __post_init__(self):
         super().__post_init__()
         self._check("range_min", _number(least=0), "a distance of at least 0 m")
         self._check("range_max", _number(above=self.range_min), f"a distance above range_min ({self.range_min:g} m)")
-        self._check("sigma", _number(least=0), "a distance of at least 0 m")
+        self._check("sigma", _number(least=0), f"a number of at least 0 {self._sigma_unit}")
 
     @property
     def directions(self):
-        """Unit vectors (..., 3) of the beams, in the sensor's frame."""
+        """Vectors (..., 3) that reach as far as a distance of 1 m, in the sensor's frame."""
         raise NotImplementedError
 
     @property
@@ -193,10 +196,28 @@ class Lidar(Mounted):
         return gymnasium.spaces.Box(self.range_min, self.range_max, self.directions.shape[:-1], np.float32)
 
     def points(self, reading):
-        """Where the beams of one `reading` met something within range: (N, 3) [m], sensor's frame."""
+        """Where something was met within range in one `reading`: (N, 3) [m], sensor's frame."""
         reading = np.asarray(reading)
         met = reading < self.range_max
         return reading[met][:, None] * self.directions[met]
+
+    def noisy(self, reading, rng):
+        """`reading` with noise wherever something was met."""
+        error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma)
+        return np.where(reading < self.range_max, self._within(reading + error * self._growth(reading)), reading)
+
+    def _within(self, distance):
+        """`distance` as it is read: in range, float32."""
+        return np.clip(distance, self.range_min, self.range_max).astype(np.float32)
+
+    def _growth(self, reading):
+        """What multiplies `sigma` at the distances `reading`."""
+        return 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Lidar(Ranging):
+    """A scanner: the reading is the distances along its beams, unit vectors. It does not see the body that carries it."""
 
     def mount(self, spec, robot="robot"):
         """Adds the site from which the beams go out."""
@@ -219,15 +240,9 @@ class Lidar(Mounted):
                 rays[..., axis] = ahead * x + left * y + up * z
             distance, _ = world.batch.ray(places[ids, site][:, None], rays, bodyexclude=body, ids=ids)
             distance[distance < 0] = self.range_max
-            return np.clip(distance, self.range_min, self.range_max).astype(np.float32).reshape(-1, *shape)
+            return self._within(distance).reshape(-1, *shape)
 
         return read
-
-    def noisy(self, reading, rng):
-        """`reading` with noise on each beam that met something."""
-        error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma)
-        noisy = np.clip(reading + error, self.range_min, self.range_max).astype(np.float32)
-        return np.where(reading < self.range_max, noisy, reading)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -395,7 +410,7 @@ class RgbCamera(Camera):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DepthCamera(Camera):
+class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
     """A depth camera. Reading: (height, width) float32 [m], along the optical axis, not along the pixel's ray.
 
     Nothing within range_max reads range_max, and nothing reads below range_min. By default the picture is aligned with
@@ -410,34 +425,15 @@ class DepthCamera(Camera):
     range_min: float = 0.3  # [m]
     range_max: float = 10.0  # [m]
     sigma: float = 0.08 / (424 * 0.05)
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._check("range_min", _number(least=0), "a depth of at least 0 m")
-        self._check("range_max", _number(above=self.range_min), f"a depth above range_min ({self.range_min:g} m)")
-        self._check("sigma", _number(least=0), "a number of at least 0 1/m")
-
-    @property
-    def space(self):
-        """The space of one world's reading."""
-        return gymnasium.spaces.Box(self.range_min, self.range_max, (self.height, self.width), np.float32)
-
-    def points(self, reading):
-        """Where the pixels of one `reading` met something within range: (N, 3) [m], sensor's frame."""
-        reading = np.asarray(reading)
-        met = reading < self.range_max
-        return reading[met][:, None] * self.directions[met]
+    _sigma_unit = "1/m"
 
     def bind(self, world, robot="robot"):
         """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
         look = self._bind(world, robot)
-        return lambda world, ids: np.clip(look(world, ids)[1], self.range_min, self.range_max).astype(np.float32)
+        return lambda world, ids: self._within(look(world, ids)[1])
 
-    def noisy(self, reading, rng):
-        """`reading` with noise on each pixel that met something."""
-        error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma) * reading**2
-        noisy = np.clip(reading + error, self.range_min, self.range_max).astype(np.float32)
-        return np.where(reading < self.range_max, noisy, reading)
+    def _growth(self, reading):
+        return reading**2
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

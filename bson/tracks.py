@@ -5,7 +5,7 @@ import dataclasses
 import gymnasium
 import numpy as np
 
-from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
+from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.world import MAP_RESOLUTION
 from macid import geometry
 
@@ -89,12 +89,25 @@ SENSORS = {
     "camera": (Imu(), RgbCamera(), DepthCamera()),
 }
 TRACKS = {"local": LocalTrack, "global": GlobalTrack}
+RESERVED = ("goal", "velocity", "map", "map_origin", "map_resolution", "pose", "people")  # the tracks' own keys
 
 
 def make_track(track, sensor):
-    """The track `track` ("local" or "global") with the sensor set `sensor`. Raises ValueError, naming the valid ones."""
+    """The track `track` ("local" or "global") with `sensor`: a name of SENSORS, or sensors of one's own, e.g.
+    `(Imu(), Lidar2D(beams=360, rate=10.0))`. Raises ValueError, naming the valid ones."""
     if track not in TRACKS:
         raise ValueError(f"Unknown track {track!r}. Choose {' or '.join(map(repr, sorted(TRACKS)))}.")
-    if sensor not in SENSORS:
-        raise ValueError(f"Unknown sensor {sensor!r}. Choose {' or '.join(map(repr, sorted(SENSORS)))}.")
-    return TRACKS[track](SENSORS[sensor])
+    return TRACKS[track](_sensors(sensor))
+
+
+def _sensors(chosen):
+    if isinstance(chosen, str) and chosen in SENSORS:
+        return SENSORS[chosen]
+    sensors = (chosen,) if isinstance(chosen, Sensor) else chosen
+    if not isinstance(sensors, (tuple, list)) or not all(isinstance(one, Sensor) for one in sensors):
+        names = ", ".join(map(repr, sorted(SENSORS)))
+        raise ValueError(f"Unknown sensor {chosen!r}. Choose {names}, or a tuple of bson.sensors' configurations.")
+    keys = [one.key for one in sensors]
+    if taken := {key for key in keys if keys.count(key) > 1 or key in RESERVED}:
+        raise ValueError(f"Sensors' keys must differ, also from {', '.join(RESERVED)}: {', '.join(sorted(taken))}.")
+    return tuple(sensors)

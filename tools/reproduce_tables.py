@@ -30,6 +30,7 @@ COLUMNS = ("SR10", "CP", "PE")
 WALKING = ("arrived", "dv", "dw", "stalled")
 PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is no multiple of the physics step
 SEEDS, BUDGET = 3, 30e6  # of each training
+SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
@@ -55,8 +56,9 @@ def wanted(agent_steps):
     """The trainings, but for their seeds, that the tables are made of: [TrainConfig, ...]."""
     usual = [TrainConfig(method=method) for method in METHODS]
     others = [TrainConfig(method="ipo", ppo=PRESETS["paper-ppo"])]
-    others += [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
-    return [replace(config, agent_steps=agent_steps) for config in usual + others]
+    slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
+    budgets = [(usual + others, agent_steps), (slower, int(SLOWER * agent_steps))]
+    return [replace(config, agent_steps=steps) for configs, steps in budgets for config in configs]
 
 
 def find_policies(*folders):
@@ -218,7 +220,7 @@ def main():
     parser.add_argument(
         "--seeds", type=int, default=SEEDS, help=f"a model, of those that are trained (default {SEEDS})"
     )
-    parser.add_argument("--agent-steps", type=float, default=BUDGET, help=f"of those (default {BUDGET:.0e})")
+    parser.add_argument("--agent-steps", type=float, default=BUDGET, help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)")
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
     parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
     parser.add_argument("--out", default="tables")

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Makes .venv in the checkout with everything that the project needs. Safe to run again; quick when nothing changed.
-# PYTHON=... chooses the interpreter (3.11 or newer).
+# PYTHON=... chooses the interpreter (3.11 or newer), EXTRAS=... pyproject.toml's extras (test; test,agents has torch).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+extras=${EXTRAS:-test}
 
 find_python() {
   for candidate in ${PYTHON:-python3 python3.13 python3.12 python3.11 python}; do
@@ -18,7 +19,7 @@ find_python() {
 install_packages() {
   local stamp want
   stamp=.venv/.setup-stamp
-  want=$(cat pyproject.toml tools/constraints.txt | sha256sum)
+  want=$( (echo "$extras"; cat pyproject.toml tools/constraints.txt) | sha256sum)
   if [ -x .venv/bin/python ] && [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then
     return
   fi
@@ -31,8 +32,8 @@ install_packages() {
       exit 1
     }
   fi
-  echo "setup: installing packages into .venv (about 1 GB on disk)" >&2
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c tools/constraints.txt -e '.[test]' >&2
+  echo "setup: installing packages [$extras] into .venv (about 1 GB on disk, 2 GB with agents)" >&2
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c tools/constraints.txt -e ".[$extras]" >&2
   echo "$want" > "$stamp"
 }
 

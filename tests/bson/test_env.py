@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import bson  # noqa: F401  (registers the environments)
-from bson.env import ENVIRONMENTS
+from bson.env import ENVIRONMENTS, BsonEnv, BsonVectorEnv
 from bson.metrics import GAMMA
 
 SMALL = {"num_pedestrians": 4, "map_size": 20.0, "goal_distance": (6.0, 15.0)}
@@ -18,11 +18,39 @@ def same(first, second):
     return all(np.array_equal(first[key], second[key]) for key in first)
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_gymnasium_finds_no_fault(name):
+@pytest.fixture(scope="module", params=ENVIRONMENTS)
+def each(request):
+    """Every environment, on a small map."""
+    return gymnasium.make(request.param, **SMALL).unwrapped
+
+
+def test_gymnasium_finds_no_fault(each):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(gymnasium.make(name, **SMALL).unwrapped, skip_render_check=True)
+        check_env(each, skip_render_check=True)
+
+
+def test_stable_baselines3_finds_no_fault(each):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra 'agents'")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        checker.check_env(each, warn=True)
+    # It wants vectors and pictures, and remarks on arrays with two axes; its policy flattens them: see the next test.
+    tables = [key for key, space in each.observation_space.items() if len(space.shape) == 2]
+    assert {str(one.message).partition(" (")[0] for one in told} == {
+        f"Your observation {key} has an unconventional shape" for key in tables
+    }
+
+
+def test_stable_baselines3_learns_from_all_that_is_observed():
+    ppo = pytest.importorskip("stable_baselines3", reason="needs the extra 'agents'").PPO
+    env = gymnasium.make("BSON/GlobalCamera-v0", **SMALL)
+    model = ppo("MultiInputPolicy", env, n_steps=4, batch_size=4, n_epochs=1, device="cpu").learn(4)
+    assert env.action_space.contains(model.predict(env.reset(seed=0)[0])[0])
+    extractor = model.policy.features_extractor
+    assert type(extractor.extractors["rgb"]).__name__ == "NatureCNN"
+    flat = sum(np.prod(space.shape) for key, space in env.observation_space.items() if key != "rgb")
+    assert extractor.features_dim == extractor.extractors["rgb"].features_dim + flat
 
 
 def test_observations_are_in_their_space_through_a_whole_episode_with_collisions():
@@ -233,3 +261,27 @@ def test_recording_statistics_wrapper_sees_whole_episodes():
         if "episode" in info:
             lengths += list(info["episode"]["l"][info["_episode"]])
     assert lengths and set(lengths) == {5}
+
+
+def test_where_physics_fails_the_episode_is_cut_off_and_no_policy_sees_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings there
+    config = {**SMALL, "pedestrian_model": "social-force"}
+    env, many = BsonEnv(**config), BsonVectorEnv(2, **config, autoreset_mode="NextStep")
+    action = np.array([0.5, 0.0])
+    env.reset(seed=4)
+    many.reset(seed=[3, 4])
+    last, _, _, truncated, info = env.step(action)
+    many.step([action, action])
+    assert not truncated and info["fault"] == ""
+    env.world._qvel[0, 1] = many.world._qvel[1, 1] = np.nan
+    observation, reward, terminated, truncated, info = env.step(action)
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert "person0/y" in info["fault"] and same(observation, last)
+    observations, _, _, truncated, infos = many.step([action, action])
+    assert truncated.tolist() == [False, True]
+    assert infos["fault"].tolist() == ["", info["fault"]]
+    assert all(np.isfinite(value).all() for value in observations.values())
+    *_, truncated, infos = many.step([action, action])  # the next episode
+    assert not truncated.any() and infos["fault"].tolist() == ["", ""]
+    observation, info = env.reset(seed=4)
+    assert info["fault"] == ""

@@ -440,6 +440,15 @@ def test_a_camera_may_have_any_size_and_pictures_stay_the_same_beside_others():
     assert (np.abs(middle - both.readings["rgb"][0]).max(axis=-1) < 12).mean() > 0.97
 
 
+@draws
+def test_closed_cameras_say_so():
+    world = make(EMPTY, RgbCamera())
+    world.renderer.close()
+    world.renderer.close()  # once more does no harm
+    with pytest.raises(ValueError, match="Renderer is closed"):
+        world.step([0], [[0.0, 0.0]])
+
+
 def test_without_opengl_a_camera_says_so_and_lidars_work():
     code = """
 import numpy as np

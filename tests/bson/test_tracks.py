@@ -1,6 +1,9 @@
+import gymnasium
 import numpy as np
 import pytest
 
+import bson  # noqa: F401  (registers the environments)
+from bson.sensors import Lidar2D
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import SENSORS, TRACKS, make_track
@@ -57,3 +60,18 @@ def test_unknown_names_are_told():
         make_track("locl", "lidar2d")
     with pytest.raises(ValueError, match="Unknown sensor 'sonar'"):
         make_track("local", "sonar")
+    with pytest.raises(ValueError, match="a tuple of bson.sensors' configurations"):
+        make_track("local", (Lidar2D(), "camera"))
+    with pytest.raises(ValueError, match="keys must differ.*: lidar"):
+        make_track("local", (Lidar2D(), Lidar2D(beams=10)))
+    with pytest.raises(ValueError, match="keys must differ.*: pose"):
+        make_track("local", Lidar2D(key="pose"))
+
+
+def test_an_environment_takes_sensors_of_ones_own():
+    sensors = (Lidar2D(beams=90), Lidar2D(key="rear", yaw=np.pi, beams=45))
+    env = gymnasium.make("BSON/LocalLidar2D-v0", sensor=sensors, num_pedestrians=2)
+    observation, _ = env.reset(seed=0)
+    assert set(observation) == {"goal", "velocity", "lidar", "rear"}
+    assert observation["lidar"].shape == (90,) and observation["rear"].shape == (45,)
+    assert env.observation_space.contains(observation)
