@@ -2,7 +2,9 @@
 
 import argparse
 import ast
+import contextlib
 import dataclasses
+import functools
 import pathlib
 import shlex
 import sys
@@ -10,11 +12,9 @@ import sys
 from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 
 
-def _track(args, make_agent):
-    """The track and sensors that an agent wants, unless the command line says otherwise."""
-    from bson.tracks import make_track
-
-    return make_track(args.track or make_agent.track, args.sensor or make_agent.sensor)
+def _track_names(args, make_agent):
+    """Names of the track and the sensors that an agent wants, unless the command line says otherwise."""
+    return args.track or make_agent.track, args.sensor or make_agent.sensor
 
 
 def _overrides(pairs):
@@ -41,35 +41,79 @@ def _check_spawn(config, seeds):
         spawn(config, np.random.default_rng(seed))
 
 
-def _play(make_agent, config, track, seeds, name):
-    """The episodes `seeds`, with a progress bar on stderr."""
+@contextlib.contextmanager
+def _progress(name, total, done=0, keep=None):
+    """A progress bar on stderr, as the `progress` of bson.evaluate. keep(episode) is called with each that ends."""
     from tqdm import tqdm
 
-    from bson.evaluate import run_episodes
-
-    with tqdm(total=len(seeds), unit="episode", desc=name, file=sys.stderr, smoothing=0) as bar:
+    with tqdm(total=total, initial=done, unit="episode", desc=name, file=sys.stderr, smoothing=0) as bar:
         steps = 0
 
         def progress(control_steps, episode):
             nonlocal steps
             steps += control_steps
             if episode is not None:
+                if keep:
+                    keep(episode)
                 bar.update()
             if episode is not None or steps % 160 == 0:
                 bar.set_postfix_str(f"{steps / max(bar.format_dict['elapsed'], 1e-9):,.0f} steps/s", refresh=True)
 
-        return run_episodes(make_agent, config, track, seeds, name, progress)
+        yield progress
+
+
+def _play(make_agent, cell, track, seeds, name, unfinished, paired):
+    """The Episodes `seeds` of a cell: those that `unfinished` has, and those that it lacks, which it gets."""
+    from bson.evaluate import pair, run_episodes
+
+    keep = functools.partial(unfinished.save, cell)
+    found = {seed: episode for seed in seeds if (episode := unfinished.load(cell, seed))}
+    missing = [seed for seed in seeds if seed not in found]
+    with _progress(name, len(seeds), len(found), keep) as progress:
+        played = run_episodes(make_agent, cell.config, track, missing, name, progress) if missing else []
+    found |= {episode.seed: episode for episode in played}
+    episodes = [found[seed] for seed in seeds]
+    if not paired:
+        return episodes
+    done = sum(episode.fault != "" or episode.people_alone is not None for episode in episodes)
+    with _progress(f"{name}, without the robot", len(seeds), done, keep) as progress:
+        return pair(cell.config, episodes, progress)
+
+
+def _to_film(played, number):
+    """Which episodes to film, as (the cell's place, the episode, what to tell of it).
+
+    played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
+    the worst of each of the `number` worst cells, and the best of the best.
+    """
+    from bson.metrics import sns, spread_by_score
+
+    if len(played) == 1:
+        chosen = [(0, episode) for episode in spread_by_score(played[0], number)]
+        kinds = {len(chosen) - 1: "the best episode", 0: "the worst episode"}
+    else:
+        ranked = sorted(
+            ((place, sorted(episodes, key=sns)) for place, episodes in enumerate(played) if episodes),
+            key=lambda cell: sum(map(sns, cell[1])) / len(cell[1]),
+        )
+        chosen = [(place, episodes[0]) for place, episodes in ranked[:number]]
+        kinds = dict.fromkeys(range(len(chosen)), "its worst episode") | {0: "the worst cell's worst episode"}
+        best, episodes = ranked[-1]
+        if all(episode is not episodes[-1] for _, episode in chosen):
+            kinds[len(chosen)] = "the best cell's best episode"
+            chosen.append((best, episodes[-1]))
+    return [(*each, kinds.get(rank, "")) for rank, each in enumerate(chosen)]
 
 
 def _films(played, cells, track, folder, number, name):
-    """Films the worst, the best, and episodes between; returns (path, caption) pairs and why there are none.
+    """Films episodes (see _to_film); returns (path, caption) pairs and why there are none.
 
     played: the episodes of each of `cells`.
     """
     from tqdm import tqdm
 
     from bson import film
-    from bson.metrics import sns, spread_by_score
+    from bson.metrics import sns
     from bson.world import build_model
     from macid import drawing
 
@@ -79,33 +123,32 @@ def _films(played, cells, track, folder, number, name):
         print(f"No video: {problem}", file=sys.stderr)
         return [], f"No video: {problem}"
     output_folder(folder)
-    cell_of = {id(episode): cell for cell, episodes in zip(cells, played, strict=True) for episode in episodes}
-    chosen = spread_by_score([episode for episodes in played for episode in episodes], number)
+    model = functools.cache(lambda config: build_model(config, track.sensors))
     made = []
-    for place, episode in enumerate(tqdm(chosen, unit="film", desc="filming", file=sys.stderr)):
-        cell = cell_of[id(episode)]
-        path = folder / f"seed-{episode.seed}.webm"
-        if len(cells) > 1:
-            path = folder / f"seed-{episode.seed}-{cell.name.replace(', ', '-')}.webm"
-        film.film(build_model(cell.config, track.sensors), episode, path, title=name)
-        kind = {0: ", the worst episode", len(chosen) - 1: ", the best episode"}.get(place, "")
-        where = f" in {cell.name}" if len(cells) > 1 else ""
-        made.append((path, f"seed {episode.seed}{where}{kind}: SNS {sns(episode):.1f}"))
+    for place, episode, kind in tqdm(_to_film(played, number), unit="film", desc="filming", file=sys.stderr):
+        cell, several = cells[place], len(cells) > 1
+        path = folder / f"seed-{episode.seed}{'-' + cell.slug if several else ''}.webm"
+        film.film(model(cell.config), episode, path, title=f"{name}: {cell.name}" if several else name)
+        where = f" in '{cell.name}'" if several else ""
+        made.append((path, f"seed {episode.seed}{where}{kind and f', {kind}'}: SNS {sns(episode):.1f}"))
     return made, ""
 
 
 def _evaluate(args):
     from bson.agents import load_agent
-    from bson.evaluate import format_summary, results, summarise_cells
+    from bson.evaluate import format_summary, results, sound
     from bson.report import make_report
+    from bson.resume import Unfinished, basis
     from bson.suites import load_suite
+    from bson.tracks import make_track
 
     suite = load_suite(args.suite)
     seeds = suite.drawn(args.episodes, args.seed)
     changes = _overrides(args.set)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in suite.cells]
     make_agent = load_agent(args.agent)
-    track = _track(args, make_agent)
+    track_names = _track_names(args, make_agent)
+    track = make_track(*track_names)
     if args.videos < 0:
         raise UsageError(f"--videos must be at least 0, not {args.videos}.")
     for cell in cells:
@@ -113,45 +156,76 @@ def _evaluate(args):
     out = output_folder(args.out)
     if (out / "results.json").is_dir():
         raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
+    follows_from = basis(args.agent, track_names, cells, args.paired)
+    unfinished = Unfinished(out, follows_from, args.resume)
     played = []
     for cell in cells:
         name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
-        played.append(_play(make_agent, cell.config, track, seeds, name))
-    episodes = [episode for each in played for episode in each]
+        played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
     content = results(
         args.agent,
         suite.name,
-        cells[0].config,
-        episodes,
-        people=cells[0].config.people,
-        cells=summarise_cells(cells, played),
+        cells,
+        played,
         suite_digest=suite.digest if not changes else None,
-        track=[args.track or make_agent.track, args.sensor or make_agent.sensor],
+        track=list(track_names),
+        paired=args.paired,
         overrides={key: str(value) for key, value in changes.items()},
         frozen_seeds=args.seed == 0,
-        command="bson " + shlex.join(args.argv),
+        command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
     )
     print(format_summary(content), flush=True)
     # What an earlier run left here does not belong to these results.
     for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
         stale.unlink(missing_ok=True)
     write_json(out / "results.json", content)
+    played = [sound(episodes) for episodes in played]
     videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
-    write_bytes(out / "report.html", make_report(content, episodes, videos, why_not).encode())
+    write_bytes(
+        out / "report.html", make_report(content, [e for each in played for e in each], videos, why_not).encode()
+    )
+    unfinished.discard()
     print(f"Written: {out / 'results.json'}, {out / 'report.html'}" + "".join(f", {path}" for path, _ in videos))
+    return 0
+
+
+def _compare(args):
+    from bson.compare import compare, format_comparison, load_run, make_page
+
+    content = compare([load_run(source) for source in args.results])
+    out = output_folder(args.out)
+    write_json(out / "compare.json", content)
+    write_bytes(out / "compare.html", make_page(content).encode())
+    print(format_comparison(content))
+    print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
+    return 0
+
+
+def _leaderboard(args):
+    from bson.compare import load_run
+    from bson.leaderboard import fill_readme, leaderboard
+
+    text = leaderboard([load_run(source) for source in args.results])
+    if args.readme:
+        fill_readme(args.readme, text)
+    print(text)
+    if args.readme:
+        print(f"Written: {args.readme}", file=sys.stderr)
     return 0
 
 
 def _render(args):
     from bson import film
     from bson.agents import load_agent
+    from bson.evaluate import run_episodes
     from bson.task import TaskConfig
+    from bson.tracks import make_track
     from bson.world import build_model
     from macid import drawing
 
     config = TaskConfig().replace(**_overrides(args.set))
     make_agent = load_agent(args.agent)
-    track = _track(args, make_agent)
+    track = make_track(*_track_names(args, make_agent))
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
@@ -163,7 +237,10 @@ def _render(args):
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
     output_folder(path.parent)
-    (episode,) = _play(make_agent, config, track, [args.seed], args.agent)
+    with _progress(args.agent, 1) as progress:
+        (episode,) = run_episodes(make_agent, config, track, [args.seed], args.agent, progress)
+    if episode.fault:
+        raise UsageError(f"Physics failed in the episode of seed {args.seed}: {episode.fault}. Choose another --seed.")
     model = build_model(config, track.sensors)
     if path.suffix == ".png":
         step = len(episode.pose) // 2 if args.step is None else args.step
@@ -173,6 +250,30 @@ def _render(args):
     else:
         film.film(model, episode, path, title=args.agent)
     print(f"Written: {path}")
+    return 0
+
+
+def _train(args):
+    try:
+        from bson.learning.train import TrainConfig, train
+    except ModuleNotFoundError as error:
+        raise UsageError(f"Training needs {error.name}: pip install 'bson-macid[agents]'.") from None
+    from tqdm import tqdm
+
+    config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr) as bar:
+
+        def show(steps, figures, validation=False):
+            bar.n = min(steps, config.steps)
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text, refresh=True)
+
+        folder = train(config, args.out, args.resume, show)
+    print(
+        f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
+    )
     return 0
 
 
@@ -198,16 +299,18 @@ def _doctor(args):
 
 
 def _list(args):
-    from bson.agents import BUILT_IN
+    from bson.agents import agent_names
     from bson.env import ENVIRONMENTS
+    from bson.robot import robot_names
     from bson.suites import load_suite, suite_names
     from macid.maps import map_names
     from macid.pedestrians import model_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
-    print("agents        " + ", ".join(BUILT_IN) + ", or module:function, or file.py[:function]")
+    print("agents        " + ", ".join(agent_names()) + ", or module:function, file.py[:function], policy.npz")
     print("pedestrians   " + ", ".join(model_names()))
     print("maps          " + ", ".join(map_names()) + ", or a .toml or .yaml file (--set map=NAME)")
+    print("robots        " + ", ".join(robot_names()) + ", or a .toml file (--set robot=NAME)")
     for name in suite_names():
         suite = load_suite(name)
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
@@ -219,6 +322,10 @@ def _add_setting(command):
     command.add_argument("--agent", default="vfh", help="a name (bson list), module:function, or file.py[:function]")
     command.add_argument("--track", default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", default=None, help="lidar2d, ... (default: what the agent wants)")
+    _add_task(command)
+
+
+def _add_task(command):
     command.add_argument(
         "--set",
         action="append",
@@ -229,10 +336,24 @@ def _add_setting(command):
 
 
 def _add_evaluation(command, out, suite):
-    command.add_argument("--suite", default=suite, help="smoke or paper (bson list)")
+    command.add_argument("--suite", default=suite, help="a name (bson list)")
     command.add_argument("--episodes", type=int, default=None, help="only the suite's first N episodes")
     command.add_argument("--seed", type=int, default=0, help="0: the suite's own seeds; else another set of its kind")
-    command.add_argument("--videos", type=int, default=2, help="films, from the worst episode to the best")
+    command.add_argument(
+        "--videos",
+        type=int,
+        default=2,
+        help="films, from the worst episode to the best; of several cells the worst episodes of this many worst cells, "
+        "and the best of the best",
+    )
+    command.add_argument(
+        "--paired",
+        action="store_true",
+        help="also play each episode without the robot, for what it does to others: delay, detour, added_contact",
+    )
+    command.add_argument(
+        "--resume", action="store_true", help="go on with an evaluation that was cut short in the folder --out"
+    )
     command.add_argument("--out", default=out, help="folder for results.json, report.html and videos/")
     command.set_defaults(run=_evaluate)
 
@@ -253,6 +374,22 @@ def parser():
     _add_setting(evaluate)
     _add_evaluation(evaluate, "results", "paper")
 
+    compare = commands.add_parser(
+        "compare", help="results beside each other, with paired differences from the first", **defaults
+    )
+    compare.add_argument("results", nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    compare.add_argument("--out", default="comparison", help="folder for compare.json and compare.html")
+    compare.set_defaults(run=_compare)
+
+    leaderboard = commands.add_parser("leaderboard", help="results as a Markdown table, sorted by SNS", **defaults)
+    leaderboard.add_argument("results", nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    leaderboard.add_argument(
+        "--readme",
+        default=None,
+        help="also put it into this file, between <!-- leaderboard --> and <!-- /leaderboard -->",
+    )
+    leaderboard.set_defaults(run=_leaderboard)
+
     render = commands.add_parser("render", help="film one seed", **defaults)
     _add_setting(render)
     render.add_argument("--seed", type=int, default=0)
@@ -260,12 +397,22 @@ def parser():
     render.add_argument("--out", default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
+    train.add_argument("--algo", default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
+    train.add_argument(
+        "--steps", type=float, default=1e6, help="control steps of all worlds; of demonstrations with bc"
+    )
+    train.add_argument("--worlds", type=int, default=16, help="at once")
+    train.add_argument("--seed", type=int, default=0)
+    _add_task(train)
+    train.add_argument("--out", default="runs", help="folder; each training gets one in it")
+    train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    train.set_defaults(run=_train)
+
     bench = commands.add_parser("bench", help="measure control steps/s", **defaults)
     bench.add_argument("--pedestrians", type=int, nargs="+", default=[24, 50, 100, 200])
     bench.add_argument("--worlds", type=int, nargs="+", default=[1, 16])
-    bench.add_argument(
-        "--sensors", nargs="+", default=["none", "lidar2d"], choices=["none", "lidar2d", "lidar3d", "camera"]
-    )
+    bench.add_argument("--sensors", nargs="+", default=["none", "lidar2d"], help="none, or as --sensor of evaluate")
     bench.add_argument("--seconds", type=float, default=2.0, help="time a case")
     bench.add_argument("--pedestrian-model", default="macid")
     bench.add_argument("--out", default=None, help="JSON file")

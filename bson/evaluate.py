@@ -1,6 +1,7 @@
 """An agent on many episodes at once: their records, and the results file."""
 
 import dataclasses
+import itertools
 import math
 import platform
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 from bson.agents import act
 from bson.metrics import METRICS, measure, summarise
 from bson.session import Recorder, Session
+from bson.world import World
 
 BATCH = 16  # worlds at once
 
@@ -58,49 +60,108 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     return [done[number] for number in range(len(seeds))]
 
 
-def results(agent, suite, config, episodes, **more):
+def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
+    """`episodes` of one configuration, with what their people would have done without the robot, for as long.
+
+    People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
+    which people ask for them. Episodes that failed or have their pair stay as they are. progress: as run_episodes'.
+    """
+    paired = list(episodes)
+    todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]
+    todo.sort(key=lambda number: -len(episodes[number].pose))
+    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False) if todo else None
+    for first in range(0, len(todo), batch):
+        numbers = todo[first : first + batch]
+        ids, rows = np.arange(len(numbers)), np.array([len(episodes[number].pose) for number in numbers])
+        world.reset(ids, [episodes[number].seed for number in numbers])
+        people = [world.people[ids]]
+        while len(going := ids[rows > len(people)]):
+            world.step(going, np.zeros((len(going), 2)))
+            people.append(world.people[ids])
+            for index in going:
+                ended = rows[index] == len(people)
+                if ended:
+                    fault = world.fault[index] and f"without the robot: {world.fault[index]}"
+                    alone = np.array([row[index] for row in people])
+                    paired[numbers[index]] = dataclasses.replace(
+                        episodes[numbers[index]], people_alone=alone, fault=fault
+                    )
+                if progress:
+                    progress(1, paired[numbers[index]] if ended else None)
+    return paired
+
+
+def results(agent, suite, cells, played, **more):
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
-    summary: means over the episodes in which a metric is finite; counts: how many these are; metrics: what each is.
+    played: the Episodes of each of `cells`. summary: means over the episodes in which a metric is finite; counts: how
+    many these are; metrics: what each is; cells: a summary of each; config, people: the first cell's; faults: the
+    episodes in which physics failed, with the last time [s] at which it had not: these are counted nowhere else. Raises
+    ValueError where no other is left.
     """
-    measured = [measure(episode) for episode in episodes]
-    summary = summarise(measured)
+    faults = [
+        {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
+        for cell, episodes in zip(cells, played, strict=True)
+        for episode in episodes
+        if episode.fault
+    ]
+    played = [sound(episodes) for episodes in played]
+    if not any(played):
+        raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
+    measured = [[measure(episode) for episode in episodes] for episodes in played]
+    summaries = [_summary(rows) for rows in measured]
     return {
         "agent": agent,
         "suite": suite,
-        "config": dataclasses.asdict(config),
+        "config": dataclasses.asdict(cells[0].config),
+        "people": cells[0].config.people,
         "versions": versions(),
-        "summary": {name: row["mean"] for name, row in summary.items()},
-        "intervals": {name: [row["low"], row["high"]] for name, row in summary.items()},
-        "counts": {name: row["count"] for name, row in summary.items()},
+        **(summaries[0] if len(cells) == 1 else _summary(list(itertools.chain(*measured)))),
         "metrics": {
             metric.name: {"unit": metric.unit, "better": metric.better or "neither", "what": metric.what}
             for metric in METRICS
         },
-        "episodes": [
-            {"seed": episode.seed, **{name: value if math.isfinite(value) else None for name, value in row.items()}}
-            for episode, row in zip(episodes, measured, strict=True)
-        ],
-        **more,
-    }
-
-
-def summarise_cells(cells, played):
-    """For each of a suite's `cells`, whose episodes `played` has: its name, grades, configuration and summary."""
-    rows = []
-    for cell, episodes in zip(cells, played, strict=True):
-        summary = summarise([measure(episode) for episode in episodes])
-        rows.append(
+        "cells": [
             {
                 "name": cell.name,
                 "grades": dict(cell.grades),
                 "config": dataclasses.asdict(cell.config),
                 "episodes": len(episodes),
-                "summary": {name: row["mean"] for name, row in summary.items()},
-                "intervals": {name: [row["low"], row["high"]] for name, row in summary.items()},
+                **summary,
             }
-        )
-    return rows
+            for cell, episodes, summary in zip(cells, played, summaries, strict=True)
+        ],
+        "episodes": [
+            {
+                "seed": episode.seed,
+                "cell": cell.name,
+                **{name: value if math.isfinite(value) else None for name, value in row.items()},
+            }
+            for cell, episodes, rows in zip(cells, played, measured, strict=True)
+            for episode, row in zip(episodes, rows, strict=True)
+        ],
+        "faults": faults,
+        **more,
+    }
+
+
+def sound(episodes):
+    """Those of `episodes` in which physics did not fail."""
+    return [episode for episode in episodes if not episode.fault]
+
+
+def _in_words(fault):
+    return f"Seed {fault['seed']} of cell '{fault['cell']}', after {fault['time']:.1f} s: {fault['what']}."
+
+
+def _summary(measured):
+    """summary, intervals and counts of results.json, over the dicts of `measure` `measured`."""
+    rows = summarise(measured)
+    return {
+        "summary": {name: row["mean"] for name, row in rows.items()},
+        "intervals": {name: [row["low"], row["high"]] for name, row in rows.items()},
+        "counts": {name: row["count"] for name, row in rows.items()},
+    }
 
 
 def versions():
@@ -134,4 +195,7 @@ def format_summary(content):
             f"  {metric.name:<21}{content['summary'][metric.name]:>9.3f}   {interval:<20}"
             f" {metric.unit:<5} {metric.better or '-'}{few}".rstrip()
         )
+    if faults := content["faults"]:
+        lines.append(f" not scored, as physics failed: {len(faults)} episode{'s' if len(faults) != 1 else ''}")
+        lines += [f"  {_in_words(fault)}" for fault in faults]
     return "\n".join(lines)

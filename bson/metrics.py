@@ -1,5 +1,7 @@
 """The score: SNS and its parts (paper, sec. VI-C, eq. 6), and what users expect beside it (Francis et al. 2023).
 
+What the robot does to others is told by a pair: the episode, and the same people for as long without the robot.
+
 Pure functions of an Episode. METRICS, at the end, is the one table of them: name, group, unit, which way is better,
 and what it is, with its threshold.
 """
@@ -9,14 +11,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from macid import geometry
 from macid.crowd import STALLED
-from macid.state import RADIUS
+from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
 
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
 INTIMATE_SPACE, PERSONAL_SPACE, SOCIAL_SPACE = 0.45, 1.2, 3.6  # [m], surface to surface
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
-GROUPS = ("score", "safety", "comfort", "efficiency")
+GROUPS = ("score", "safety", "comfort", "efficiency", "others")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +51,9 @@ class Episode:
     qpos: np.ndarray  # (T + 1, nq) MuJoCo's configuration, for films
     period: float  # of control
     robot_radius: float  # of the circle around its footprint
+    people_goals: np.ndarray | None = None  # (K, 2) where they go first
+    people_alone: np.ndarray | None = None  # (T + 1, K, 3) the same people without the robot, if that was played
+    fault: str = ""  # what of the physics became infinite or not a number: an episode that is not scored
 
 
 def route_completion(episode):
@@ -114,6 +120,68 @@ def _derivative(episode, order):
 
 def _within(episode, distance):
     return float((episode.nearest_person < distance).mean())
+
+
+def _first_ways(people, goals):
+    """When people (T + 1, K, 3) reach their `goals` (K, 2), as a control step, the last one where they never do: (K,);
+    and the metres walked until then that brought them no closer: (K,)."""
+    distance = geometry.norm(people[..., :2] - goals)
+    there = distance <= GOAL_RADIUS
+    step = np.where(there.any(axis=0), there.argmax(axis=0), len(people) - 1)
+    walked = np.concatenate([0 * distance[:1], np.cumsum(geometry.norm(np.diff(people[..., :2], axis=0)), axis=0)])
+    who = np.arange(people.shape[1])
+    return step, walked[step, who] - (distance[0] - distance[step, who])
+
+
+def _contacts(people, who):
+    """Control steps after which each of the people `who` (K,) bool touches another of `people` (T + 1, K, 3): (K,)."""
+    places, steps = people[1:, :, :2], np.zeros(people.shape[1], int)
+    for person in np.flatnonzero(who):
+        apart = geometry.norm(places - places[:, person, None])
+        apart[:, person] = np.inf
+        steps[person] = (apart.min(axis=-1) <= 2 * RADIUS + CONTACT_GAP).sum()
+    return steps
+
+
+def _met(episode):
+    """Whom the robot came near, within SOCIAL_SPACE as discs, before they reached their first goal: (K,) bool."""
+    apart = geometry.norm(episode.people[..., :2] - episode.pose[:, None, :2])
+    near = apart < SOCIAL_SPACE + episode.robot_radius + RADIUS
+    return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
+
+
+def _over_people(values, who):
+    """Mean of `values` (K,) over the people `who` (K,) bool; infinity where there are none."""
+    return float(values[who].mean()) if who.any() else np.inf
+
+
+def delay(episode):
+    """How much later [s] people whom the robot met on their way reach their first goal than without it. Who gets there in
+    one run only counts as there at the other's end, who does in neither not at all. Infinity without a pair."""
+    if episode.people_alone is None:
+        return np.inf
+    (step, _), (alone, _) = (_first_ways(p, episode.people_goals) for p in (episode.people, episode.people_alone))
+    there = np.minimum(step, alone) < len(episode.people) - 1
+    return _over_people((step - alone) * episode.period, _met(episode) & there)
+
+
+def detour(episode):
+    """How much farther [m] people whom the robot met on their way to the first goal walk than without it, beyond what
+    brings them closer. Infinity without a pair."""
+    if episode.people_alone is None:
+        return np.inf
+    (_, way), (_, alone) = (_first_ways(p, episode.people_goals) for p in (episode.people, episode.people_alone))
+    return _over_people(way - alone, _met(episode))
+
+
+def added_contact(episode):
+    """How much longer [s] people whom the robot met touch other people than without it, over the whole episode. Infinity
+    without a pair."""
+    if episode.people_alone is None:
+        return np.inf
+    met = _met(episode)
+    steps = _contacts(episode.people, met) - _contacts(episode.people_alone, met)
+    return _over_people(steps * episode.period, met)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,6 +258,16 @@ METRICS = (
            "speed after control steps, ahead or back", minor=True),
     Metric("speed_min", "efficiency", "m/s", "", lambda e: _over(np.min, _speed(e)), "least speed", minor=True),
     Metric("speed_max", "efficiency", "m/s", "", lambda e: _over(np.max, _speed(e)), "greatest speed", minor=True),
+
+    Metric("delay", "others", "s", "down", delay,
+           "how much later people reach their first goal than without the robot (with --paired): mean over those whom it "
+           "came within 3.6 m of on their way there, and who get there"),
+    Metric("detour", "others", "m", "down", detour,
+           "how much farther people walk to their first goal than without the robot, beyond what brings them closer: "
+           "mean over those whom it came within 3.6 m of on their way there"),
+    Metric("added_contact", "others", "s", "down", added_contact,
+           "how much longer people are within 0.01 m of other people (at control steps) than without the robot: mean "
+           "over those whom it came within 3.6 m of on the way to their first goal"),
 )
 # fmt: on
 
@@ -214,7 +292,7 @@ def summarise(measured, resamples=9999):
     count is the number of episodes that do, and a metric without any is left out.
     """
     summary = {}
-    for name in measured[0]:
+    for name in measured[0] if measured else ():
         values = np.array([row[name] for row in measured])
         values = values[np.isfinite(values)]
         if not len(values):

@@ -10,6 +10,9 @@ import itertools
 import json
 import tomllib
 
+import numpy as np
+
+from bson.robot import load_robot
 from bson.task import TaskConfig
 from macid import assets
 from macid.maps import load_map
@@ -29,6 +32,24 @@ class Cell:
         """The grades' names, or "all"."""
         return ", ".join(grade for _, grade in self.grades) or "all"
 
+    @property
+    def slug(self):
+        """The name, for files."""
+        return self.name.replace(", ", "-")
+
+    @property
+    def content(self):
+        """All that an episode follows from beside its seed: grades, configuration, and the files that it names."""
+        drawn = None
+        if self.config.map:
+            layout = load_map(self.config.map)
+            drawn = [layout.size, layout.obstacles, layout.routed, layout.regions, layout.routes]
+        setting = dataclasses.asdict(self.config)
+        name = setting["robot"].pop("name")
+        if name != "jackal":  # the suites were frozen when there was no other
+            setting["robot"]["files"] = load_robot(name).digest
+        return [self.grades, setting, drawn]
+
 
 @dataclasses.dataclass(frozen=True)
 class Suite:
@@ -45,20 +66,15 @@ class Suite:
         found = {}
         for cell in self.cells:
             for axis, grade in cell.grades:
-                found.setdefault(axis, dict.fromkeys([]))[grade] = None
+                found.setdefault(axis, {})[grade] = None
         return {axis: list(grades) for axis, grades in found.items()}
 
     @property
     def digest(self):
         """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal digits."""
-        content = [self.seeds]
-        for cell in self.cells:
-            layout = load_map(cell.config.map) if cell.config.map else None
-            drawn = layout and [layout.size, layout.obstacles.tolist(), layout.routed]
-            drawn = drawn and [*drawn, {name: rows.tolist() for name, rows in layout.regions.items()}]
-            drawn = drawn and [*drawn, [route.tolist() for route in layout.routes]]
-            content.append([cell.grades, dataclasses.asdict(cell.config), drawn])
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+        content = [self.seeds, *(cell.content for cell in self.cells)]
+        text = json.dumps(content, sort_keys=True, default=np.ndarray.tolist)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def drawn(self, episodes=None, seed=0):
         """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set of

@@ -1,4 +1,5 @@
 import json
+import types
 
 import pytest
 
@@ -34,6 +35,30 @@ def test_evaluate_writes_results_report_and_videos(tmp_path, capsys):
     assert len(films) == int(videos) and page.count("data:video/webm") == int(videos)
     assert {p.name for p in out.iterdir()} <= {"results.json", "report.html", "videos"}
     assert "SNS" in capsys.readouterr().out
+
+
+def cells(*collisions):
+    """Episodes of cells, as far as their choice asks: each is told by its number of collisions."""
+    fields = {"start_distance": 10.0, "final_distance": 0.0, "travelled": 10.0, "duration": 5.0}
+    return [[types.SimpleNamespace(**fields, collisions=number) for number in cell] for cell in collisions]
+
+
+@pytest.mark.parametrize(
+    ("played", "number", "expected"),
+    [
+        (cells([1, 9, 4]), 2, [(0, 9, "the worst episode"), (0, 1, "the best episode")]),
+        (cells([1, 9, 4]), 1, [(0, 9, "the worst episode")]),
+        (cells([1, 9, 4]), 5, [(0, 9, "the worst episode"), (0, 4, ""), (0, 1, "the best episode")]),
+        (
+            cells([0, 40], [30, 20], [2, 1], [3, 5]),  # the second cell is the worst, though the first has a worse episode
+            2,
+            [(1, 30, "the worst cell's worst episode"), (0, 40, "its worst episode"), (2, 1, "the best cell's best episode")],
+        ),
+        (cells([5], [1], []), 3, [(0, 5, "the worst cell's worst episode"), (1, 1, "its worst episode")]),
+    ],
+)  # fmt: skip
+def test_films_are_of_the_worst_cells_and_of_the_best_episode(played, number, expected):
+    assert [(cell, episode.collisions, told) for cell, episode, told in cli._to_film(played, number)] == expected
 
 
 def test_the_same_command_gives_the_same_results(tmp_path):
@@ -100,7 +125,7 @@ def test_an_unknown_command_is_code_2():
 def test_list_names_everything(capsys):
     assert cli.main(["list"]) == 0
     out = capsys.readouterr().out
-    for name in ("BSON/LocalLidar2D-v0", "vfh", "orca", "paper", "smoke"):
+    for name in ("BSON/LocalLidar2D-v0", "vfh", "orca", "diffbot", "paper", "smoke"):
         assert name in out
 
 

@@ -180,12 +180,67 @@ def test_an_episode_of_hardly_any_step_has_all_metrics(steps):
     alone = {"nearest": (np.inf,) * (steps + 1), "travelled": 0.0, "duration": 0.1 * steps, "final": 20.0}
     done = measure(episode(**alone))
     infinite = {name for name, value in done.items() if not np.isfinite(value)}
-    assert infinite == {"nearest_person", "nearest_person_mean", "time_to_collision", "time_to_goal"}
+    paired = {"delay", "detour", "added_contact"}
+    assert infinite == {"nearest_person", "nearest_person_mean", "time_to_collision", "time_to_goal"} | paired
     assert not any(np.isnan(value) for value in done.values())
     assert all(
         done[f"{name}_{kind}"] == 0 for name in ("speed", "acceleration", "jerk") for kind in ("min", "mean", "max")
     )
     assert done["stalled_time"] == pytest.approx(0.1 * steps)
+
+
+STRAIGHT = np.array([[0, 0], [1, 0], [2, 0], [3, 0], [4, 0]])  # places a second apart; the goal is (3, 0)
+LATE = np.array([[0, 0], [1, 0], [1, 0], [2, 0], [3, 0]])
+AROUND = np.array([[0, 0], [1, 1], [2, 0], [3, 0], [4, 0]])
+NEVER = np.array([[0, 0], [0, 1], [0, 0], [0, 1], [0, 0]])
+BESIDE = np.array([[0, -9], [1, -9], [2, -0.705], [3, -0.705], [4, -0.72]])  # touches whoever goes straight, twice
+NEAR, FAR, LEFT, DOWN = [1.5, 4.0], [1.5, -20.0], [0, 1], [0, -9]
+
+
+def paired(people, alone, robot=NEAR):
+    """delay, detour, added_contact. people, alone: the ways (5, 2) of each with the robot at `robot`, and without it."""
+    ways = [np.pad(np.array(rows, float), [(0, 0), (0, 0), (0, 1)]).swapaxes(0, 1) for rows in (people, alone)]
+    steps, number = ways[0].shape[:2]
+    pose = np.column_stack([np.broadcast_to(robot, (steps, 2)), np.zeros(steps)])
+    goals = np.array([[3.0, way[0][1]] for way in people])
+    done = episode(people=ways[0], people_alone=ways[1], people_goals=goals, pose=pose, period=1.0,
+                   velocity=np.zeros((steps, 2)), people_velocity=np.zeros((steps, number, 2)),
+                   nearest=np.full(steps, 1.0))  # fmt: skip
+    return [measure(done)[name] for name in ("delay", "detour", "added_contact")]
+
+
+@pytest.mark.parametrize(
+    ("people", "alone", "expected"),
+    [
+        ([STRAIGHT], [STRAIGHT], [0.0, 0.0, 0.0]),
+        ([LATE], [STRAIGHT], [1.0, 0.0, 0.0]),
+        ([STRAIGHT], [LATE], [-1.0, 0.0, 0.0]),  # a robot may be of use
+        ([AROUND], [STRAIGHT], [0.0, 2 * 2**0.5 - 2, 0.0]),
+        ([NEVER], [STRAIGHT], [1.0, 4.0, 0.0]),  # not there by the end, at 4 s, and 4 m for nothing
+        ([STRAIGHT], [NEVER], [-1.0, -4.0, 0.0]),
+        ([NEVER], [NEVER], [np.inf, 0.0, 0.0]),  # whether it would be late, nobody knows
+        ([LATE, STRAIGHT + LEFT], [STRAIGHT, STRAIGHT + LEFT], [0.5, 0.0, 0.0]),  # the mean of both
+        ([LATE, STRAIGHT + DOWN], [STRAIGHT, STRAIGHT + DOWN], [1.0, 0.0, 0.0]),  # the other was not met
+        ([STRAIGHT, BESIDE], [STRAIGHT, STRAIGHT + DOWN], [0.0, 0.0, 2.0]),
+        ([STRAIGHT, BESIDE + DOWN], [STRAIGHT, BESIDE], [0.0, 0.0, -2.0]),
+    ],
+)
+def test_what_the_robot_does_to_others_by_hand(people, alone, expected):
+    assert paired(people, alone) == pytest.approx(expected)
+
+
+def test_only_whom_the_robot_met_on_the_way_to_the_first_goal_counts():
+    assert paired([LATE], [STRAIGHT], FAR) == [np.inf] * 3
+    at_the_end = [FAR, FAR, FAR, FAR, [4.0, 1.0]]
+    assert paired([STRAIGHT], [LATE], at_the_end) == [np.inf] * 3  # it was there already
+    assert paired([LATE], [STRAIGHT], at_the_end)[0] == 1.0
+    for distance, met in ((3.599, True), (3.601, False)):
+        assert np.isfinite(paired([NEVER], [STRAIGHT], [-distance - TOUCH, 0.0])[0]) == met
+
+
+def test_without_its_pair_an_episode_says_nothing_about_others():
+    done = measure(meeting((1.0, 0.0), (0.0, 0.0)))
+    assert [done[name] for name in ("delay", "detour", "added_contact")] == [np.inf] * 3
 
 
 def test_the_table_of_metrics_is_whole():
@@ -224,6 +279,7 @@ def test_bootstrap_interval_is_as_wide_as_theory_says():
 def test_metrics_without_people_leave_out_the_distance_to_them():
     summary = summarise([measure(episode(nearest=(np.inf, np.inf)))])
     assert "nearest_person" not in summary
+    assert summarise([]) == {}
     assert summary["personal_space"]["mean"] == 0.0
 
 

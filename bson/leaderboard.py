@@ -1,0 +1,95 @@
+"""The leaderboard: results of `bson evaluate` as Markdown tables, sorted by SNS, one a suite; and its place in a README."""
+
+import pathlib
+import shlex
+
+from bson.compare import check_comparable
+from bson.page import plural
+from macid.files import write_bytes
+
+BEGIN, END = "<!-- leaderboard -->", "<!-- /leaderboard -->"
+_COLUMNS = (  # after the SNS: metric, heading, how a mean is shown
+    ("success", "success", "{:.0%}"),
+    ("Coll", "Coll", "{:.1f}"),
+    ("SP", "SP", "{:.3f}"),
+    ("PE", "PE", "{:.3f}"),
+    ("RC", "RC", "{:.3f}"),
+    ("personal_space", "personal space", "{:.3f}"),
+)
+
+
+def _played(run):
+    """(cell, seed) of all episodes that the run played, the faulty ones included."""
+    return run.rows.keys() | {(fault["cell"], fault["seed"]) for fault in run.content.get("faults", [])}
+
+
+def _check(runs):
+    """Raises ValueError unless all `runs` of a suite sat the same exam."""
+    check_comparable(runs)
+    for run in runs[1:]:
+        if _played(run) != _played(runs[0]):
+            raise ValueError(
+                f"'{runs[0].source}' and '{run.source}' didn't play the same episodes of '{run.content['suite']}' "
+                f"({len(_played(runs[0]))} and {len(_played(run))}). Evaluate with the same --episodes and --seed."
+            )
+
+
+def _row(rank, run):
+    content = run.content
+    agent, summary = content["agent"].replace("|", "\\|"), content["summary"]
+    faults = f" ({len(content['faults'])} faulty)" if content.get("faults") else ""
+    score = "-"
+    if "SNS" in summary:
+        low, high = content["intervals"]["SNS"]
+        score = f"{summary['SNS']:.1f} [{low:.1f}, {high:.1f}]"
+    values = [form.format(summary[name]) if name in summary else "-" for name, _, form in _COLUMNS]
+    return [str(rank), f"`{agent}`{faults}", ", ".join(content.get("track") or ["-"]), score, *values]
+
+
+def _caption(run):
+    content, episodes = run.content, len(_played(run))
+    digest = f", digest `{content['suite_digest']}`" if content.get("suite_digest") else ""
+    cells = f" in {len(content['cells'])} cells" if len(content["cells"]) > 1 else ""
+    other = "" if content.get("frozen_seeds", True) else ", not the suite's own seeds"
+    words = ["bson", "evaluate", "--agent", "AGENT", "--suite", content["suite"]]
+    words += ["--episodes", str(episodes // len(content["cells"]))]
+    for key, value in content.get("overrides", {}).items():
+        words += ["--set", f"{key}={value}"]
+    return (
+        f"Suite `{content['suite']}`{digest}: {plural(episodes, 'episode')}{cells}{other}; means, with bootstrap 95% "
+        f"intervals for the SNS.\nEach row: `{shlex.join(words)}`; the table: `bson leaderboard`."
+    )
+
+
+def leaderboard(runs):
+    """Markdown: a table for each suite of `runs`, the best SNS first, and what it is of.
+
+    Raises ValueError where runs of one suite differ in its version, setting or episodes.
+    """
+    suites = {}
+    for run in runs:
+        suites.setdefault(run.content["suite"], []).append(run)
+    tables = []
+    for group in suites.values():
+        _check(group)
+        ranked = sorted(group, key=lambda run: (-run.content["summary"].get("SNS", -float("inf")), run.source))
+        lines = [["rank", "agent", "track, sensor", "SNS", *(heading for _, heading, _ in _COLUMNS)]]
+        lines.append(["---"] * len(lines[0]))
+        lines += [_row(rank, run) for rank, run in enumerate(ranked, start=1)]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        tables.append(f"{table}\n\n{_caption(group[0])}")
+    return "\n\n".join(tables)
+
+
+def fill_readme(path, text):
+    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError without them."""
+    path = pathlib.Path(path)
+    try:
+        content = path.read_text()
+    except OSError as error:
+        raise ValueError(f"Can't read '{path}': {error.strerror}. Name a text file with {BEGIN} and {END}.") from None
+    before, begin, rest = content.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end or content.count(BEGIN) != 1 or content.count(END) != 1:
+        raise ValueError(f"'{path}' must have the lines {BEGIN} and {END}, once each and in this order.")
+    write_bytes(path, f"{before}{BEGIN}\n{text}\n{END}{after}".encode())

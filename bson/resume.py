@@ -1,0 +1,98 @@
+"""The episodes of an unfinished evaluation on disk, so that one that was killed goes on where it was."""
+
+import dataclasses
+import hashlib
+import io
+import json
+import pathlib
+import sys
+
+import numpy as np
+
+from bson.evaluate import versions
+from bson.metrics import Episode
+from macid import assets
+from macid.files import UsageError, output_folder, write_bytes, write_json
+from macid.pedestrians import MODELS
+from macid.policy import load_policy
+
+
+def _digest(contents):
+    """A hash of some bytes. 12 hexadecimal digits."""
+    digest = hashlib.sha256()
+    for content in contents:
+        digest.update(content)
+    return digest.hexdigest()[:12]
+
+
+def _agent_files(name):
+    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
+    module, colon, _ = name.rpartition(":")
+    path = pathlib.Path(module if colon else name)
+    if colon and module in sys.modules:
+        path = pathlib.Path(sys.modules[module].__file__)
+    return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
+
+
+def basis(agent, track, cells, paired):
+    """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
+
+    agent: its name; track: its names of track and sensor.
+    """
+    models = {name for cell in cells for name in cell.config.model_shares}
+    policies = [load_policy(name) for name in sorted(models - set(MODELS))]
+    content = {
+        "agent": [agent, _digest(file.read_bytes() for file in _agent_files(agent))],
+        "track": track,
+        "paired": paired,
+        "cells": [cell.content for cell in cells],
+        "pedestrians": _digest(
+            weights.tobytes() for policy in policies for layer in policy.layers for weights in layer
+        ),
+        "versions": versions(),
+    }
+    return json.loads(json.dumps(content, default=np.ndarray.tolist))
+
+
+class Unfinished:
+    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from."""
+
+    def __init__(self, out, basis, resume):
+        """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
+        self._folder = output_folder(out / "unfinished")
+        began = self._folder / "basis.json"
+        if resume and began.is_file():
+            before = json.loads(began.read_text())
+            if changed := [name for name in basis if before.get(name) != basis[name]]:
+                raise UsageError(
+                    f"The evaluation in '{out}' can't go on: {' and '.join(changed)} changed since it began. "
+                    "Give the command that began it, or leave out --resume to begin anew."
+                )
+        else:
+            self.discard()
+            output_folder(self._folder)
+            write_json(began, basis)
+
+    def _path(self, cell, seed):
+        return self._folder / f"{cell.slug}-{seed}.npz"
+
+    def save(self, cell, episode):
+        """Keeps an episode of `cell`, or replaces it."""
+        fields = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
+        content = io.BytesIO()
+        np.savez(content, **{name: value for name, value in fields.items() if value is not None})
+        write_bytes(self._path(cell, episode.seed), content.getvalue())
+
+    def load(self, cell, seed):
+        """The Episode `seed` of `cell` as it was saved, or None."""
+        if not (path := self._path(cell, seed)).is_file():
+            return None
+        with np.load(path) as fields:
+            return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
+
+    def discard(self):
+        """Removes it all."""
+        for path in [*self._folder.glob("*.npz*"), *self._folder.glob(".*.npz.*"), *self._folder.glob("*basis.json*")]:
+            path.unlink()
+        if not any(self._folder.iterdir()):
+            self._folder.rmdir()

@@ -1,0 +1,121 @@
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bson import cli
+from bson.agents import load_agent
+from bson.evaluate import pair, run_episodes
+from bson.resume import Unfinished, basis
+from bson.suites import Cell
+from bson.task import TaskConfig
+from bson.tracks import make_track
+from macid.files import UsageError
+
+CONFIG = TaskConfig(num_pedestrians=2, map_size=20.0, goal_distance=(6.0, 15.0), horizon=4, pedestrian_model="orca")
+CELL = Cell((("people", "two"),), CONFIG)
+
+
+@pytest.fixture(scope="module")
+def played():
+    return run_episodes(load_agent("goal"), CONFIG, make_track("local", "lidar2d"), [5, 6])
+
+
+def same(one, other):
+    """Whether two Episodes are alike, down to the types and the last bit."""
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if type(a) is not type(b) or not (np.array_equal(a, b) and getattr(a, "dtype", 0) == getattr(b, "dtype", 0)):
+            return False
+    return True
+
+
+def test_an_episode_comes_back_as_it_was(played, tmp_path):
+    unfinished = Unfinished(tmp_path, {}, resume=False)
+    failed = dataclasses.replace(played[1], fault="qpos", nearest_person=played[1].nearest_person * np.inf)
+    unfinished.save(CELL, played[0])
+    unfinished.save(CELL, failed)
+    again = Unfinished(tmp_path, {}, resume=True)
+    assert same(again.load(CELL, 5), played[0]) and played[0].people_alone is None
+    assert same(again.load(CELL, 6), failed) and not same(failed, played[1])
+    assert again.load(CELL, 7) is None and again.load(Cell((), CONFIG), 5) is None
+    (alone,) = pair(CONFIG, [played[0]])
+    again.save(CELL, alone)
+    assert same(again.load(CELL, 5), alone) and alone.people_alone is not None
+
+
+def test_without_resume_what_is_there_goes_and_nothing_else(played, tmp_path):
+    Unfinished(tmp_path, {"agent": "a"}, resume=False).save(CELL, played[0])
+    (tmp_path / "unfinished" / "mine.txt").write_text("mine")
+    unfinished = Unfinished(tmp_path, {"agent": "b"}, resume=False)
+    assert unfinished.load(CELL, 5) is None
+    unfinished.discard()
+    assert [path.name for path in tmp_path.rglob("*")] == ["unfinished", "mine.txt"]
+    (tmp_path / "unfinished" / "mine.txt").unlink()
+    Unfinished(tmp_path, {"agent": "b"}, resume=True).discard()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_episodes_follow_from_is_told_apart(tmp_path):
+    (tmp_path / "agent.py").write_text("agent = None")
+    agent = str(tmp_path / "agent.py")
+    track = ("local", "lidar2d")
+    before = basis(agent, track, [CELL], False)
+    assert basis(agent, track, [CELL], False) == before
+    other = dataclasses.replace(CELL, config=CONFIG.replace(horizon=5))
+    learned = dataclasses.replace(CELL, config=CONFIG.replace(pedestrian_model="macid"))
+    changes = {
+        "agent": basis("goal", track, [CELL], False),
+        "track": basis(agent, ("global", "lidar2d"), [CELL], False),
+        "cells": basis(agent, track, [other], False),
+        "paired": basis(agent, track, [CELL], True),
+        "cells and pedestrians": basis(agent, track, [learned], False),
+    }
+    (tmp_path / "agent.py").write_text("agent = 1")
+    for name, after in {**changes, "agent ": basis(agent, track, [CELL], False)}.items():
+        assert " and ".join(key for key in before if before[key] != after[key]) == name.strip()
+    Unfinished(tmp_path, before, resume=False)
+    with pytest.raises(UsageError, match="track changed.*--resume"):
+        Unfinished(tmp_path, changes["track"], resume=True)
+
+
+KILLER = """import os, pathlib, signal
+calls = 0
+def agent(observation):
+    global calls
+    calls += 1
+    if pathlib.Path("armed").exists() and calls > 16 * 4 + 2:  # in the second batch of episodes
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [1.0, 0.3]
+"""
+
+
+def test_an_evaluation_that_was_killed_goes_on_and_gives_what_it_would_have_given(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "agent.py").write_text(KILLER)
+    (tmp_path / "armed").touch()
+    command = ["evaluate", "--agent", "agent.py", "--suite", "paper", "--episodes", "18", "--videos", "0"]
+    for change in ("num_pedestrians=2", "map_size=20.0", "goal_distance=(6,15)", "horizon=4", "pedestrian_model=orca"):
+        command += ["--set", change]
+    killed = subprocess.run([sys.executable, "-m", "bson.cli", *command, "--out", "killed"], capture_output=True)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list((tmp_path / "killed" / "unfinished").glob("*.npz"))) == 16
+    assert not (tmp_path / "killed" / "results.json").exists()
+
+    os.unlink(tmp_path / "armed")
+    assert cli.main([*command, "--set", "lcf=1", "--out", "killed", "--resume"]) == 2
+    assert "cells changed since it began" in capsys.readouterr().err
+    contents, progress = [], []
+    for out in (["killed", "--resume"], ["whole"]):
+        assert cli.main([*command, "--out", *out]) == 0
+        progress.append(capsys.readouterr().err)
+        assert {path.name for path in (tmp_path / out[0]).iterdir()} == {"results.json", "report.html"}
+        contents.append(json.loads((tmp_path / out[0] / "results.json").read_text()))
+        contents[-1].pop("command")
+    assert "16/18" in progress[0] and "15/18" not in progress[0] and " 0/18" in progress[1]
+    assert contents[0] == contents[1] and len(contents[0]["episodes"]) == 18

@@ -1,0 +1,62 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bson.suites import load_suite, suite_names
+from bson.task import TaskConfig, spawn
+from macid import assets
+
+DIGESTS = {"paper": "d29ce0019b09", "scenarios": "7f1177ebb47f", "smoke": "d93d60ae24f8", "standard": "86bb56a5ca8e"}
+
+
+def test_the_shipped_suites_are_frozen():
+    """Whoever changes one of these breaks the comparison with all results so far: make a suite of another name."""
+    assert {name: load_suite(name).digest for name in suite_names()} == DIGESTS
+
+
+def test_suites_are_as_the_paper_says_and_apart():
+    paper = load_suite("paper")
+    assert len(set(paper.seeds)) == 100
+    (cell,) = paper.cells
+    assert cell.name == "all" and paper.axes == {}
+    assert (cell.config.people, cell.config.obstacle_density, cell.config.lcf) == (24, 0.0, (-2.0, 2.0))
+    assert not set(paper.seeds) & set(load_suite("smoke").seeds)
+    assert {"paper", "smoke"} <= set(suite_names())
+    assert paper.drawn(3) == list(paper.seeds[:3])
+    assert not set(paper.drawn(seed=1)) & set(paper.seeds)
+    with pytest.raises(ValueError, match="paper.*smoke"):
+        load_suite("papers")
+    with pytest.raises(ValueError, match="1 to 100"):
+        paper.drawn(101)
+
+
+def test_standard_has_every_combination_of_three_criteria():
+    standard = load_suite("standard")
+    assert len(standard.cells) == 27 == len({cell.name for cell in standard.cells})
+    assert {axis: len(grades) for axis, grades in standard.axes.items()} == {"obstacles": 3, "people": 3, "temper": 3}
+    dense = [cell for cell in standard.cells if cell.name == "maze, dense, adversarial"][0].config
+    assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
+
+
+def test_every_scenario_has_room_for_all_its_episodes():
+    scenarios = load_suite("scenarios")
+    assert len(scenarios.cells) == 7
+    for cell in scenarios.cells:
+        for seed in scenarios.seeds:
+            drawn = spawn(cell.config, np.random.default_rng(seed))
+            assert len(drawn.people) == cell.config.people > 0
+
+
+def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):
+    paper, scenarios = load_suite("paper"), load_suite("scenarios")
+    digests = {load_suite(name).digest for name in suite_names()}
+    assert len(digests) == len(suite_names()) and paper.digest == load_suite("paper").digest
+    assert dataclasses.replace(paper, seeds=paper.seeds[:-1]).digest != paper.digest
+    text = assets.path("maps", "frontal.toml").read_text()
+    found = []
+    for wall in ("10.0", "9.0"):
+        (tmp_path / "frontal.toml").write_text(text.replace("[[-10.0", f"[[-{wall}"))
+        cell = dataclasses.replace(scenarios.cells[0], config=TaskConfig(map=str(tmp_path / "frontal.toml")))
+        found.append(dataclasses.replace(scenarios, cells=(cell,)).digest)
+    assert found[0] != found[1]
