@@ -1,0 +1,52 @@
+"""What learned robots see: the Local track's goal, motion and 2D LIDAR as one short vector.
+
+720 beams are more than an MLP needs: each SECTOR of 7.5 degrees keeps its nearest beam, since the nearest thing is what
+one runs into, as closeness, which is 0 from RANGE on. One scan does not tell who is coming, so the scans of the last
+control steps lie beside the present one.
+"""
+
+import numpy as np
+
+SECTORS = 36
+RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
+SCANS = (0, 2, 4)  # how many control steps ago the scans were that are seen
+FEATURES = 6 + len(SCANS) * SECTORS
+_GOAL_RANGE = 20.0  # [m]
+_SPEEDS = np.array([2.0, 2.0], np.float32)  # of the Jackal [m/s, rad/s]
+
+
+def closeness(lidar):
+    """Scans (..., beams) [m] as (..., SECTORS) in [0, 1], from right to left: 0 for RANGE and more, 1 at the sensor."""
+    sectors = lidar.reshape(*lidar.shape[:-1], SECTORS, -1).min(axis=-1)
+    return np.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
+
+
+def motion(observation):
+    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares."""
+    goal = observation["goal"]
+    distance = np.linalg.norm(goal, axis=-1, keepdims=True)
+    near, far = np.exp(-distance), np.minimum(distance / _GOAL_RANGE, 1.0)
+    columns = [goal / np.maximum(distance, 1e-6), near, far, observation["velocity"] / _SPEEDS]
+    return np.concatenate(columns, axis=-1).astype(np.float32)
+
+
+class Features:
+    """Features of `count` robots, with a memory of their last scans."""
+
+    def __init__(self, count):
+        self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
+
+    def begin(self, rows, observation):
+        """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading axis."""
+        self._scans[rows] = closeness(observation["lidar"])[:, None]
+        return self._vector(rows, observation)
+
+    def step(self, rows, observation):
+        """The same after a control step."""
+        self._scans[rows, 1:] = self._scans[rows, :-1]
+        self._scans[rows, 0] = closeness(observation["lidar"])
+        return self._vector(rows, observation)
+
+    def _vector(self, rows, observation):
+        scans = self._scans[rows][:, SCANS].reshape(-1, len(SCANS) * SECTORS)
+        return np.concatenate([motion(observation), scans], axis=-1)

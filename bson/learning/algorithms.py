@@ -1,0 +1,98 @@
+"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters; the paper's where it gives one (sec. VI-D).
+
+Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's and
+TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
+"""
+
+import dataclasses
+
+import torch
+from stable_baselines3 import PPO, SAC
+
+from bson.learning.tsallis import TsallisPolicy
+
+
+@dataclasses.dataclass(frozen=True)
+class PpoConfig:
+    """Proximal policy optimisation."""
+
+    hidden: tuple[int, ...] = (64, 64, 64)
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 5e-5  # annealed to, linearly over training
+    gamma: float = 0.99  # a control step
+    lam: float = 0.95  # lambda of GAE
+    clip: float = 0.2
+    rollout: int = 128  # control steps of each world between updates
+    batch: int = 512
+    epochs: int = 6
+    log_std: float = -0.7  # initial
+
+    def build(self, env, seed):
+        """The stable-baselines3 model that learns in `env`."""
+        first, last = self.learning_rate, self.final_learning_rate
+        return PPO(
+            "MlpPolicy",
+            env,
+            learning_rate=lambda remaining: last + (first - last) * remaining,
+            n_steps=self.rollout,
+            batch_size=self.batch,
+            n_epochs=self.epochs,
+            gamma=self.gamma,
+            gae_lambda=self.lam,
+            clip_range=self.clip,
+            policy_kwargs={
+                "net_arch": list(self.hidden),
+                "activation_fn": torch.nn.ReLU,
+                "log_std_init": self.log_std,
+            },
+            seed=seed,
+            device="cpu",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class SacConfig:
+    """Soft actor-critic; with q above 1, Tsallis actor-critic."""
+
+    hidden: tuple[int, ...] = (256, 256)
+    learning_rate: float = 1e-3
+    gamma: float = 0.99  # a control step
+    alpha: float = 0.02  # weight of the entropy: the usual 0.2, of rewards a tenth as large as is usual
+    batch: int = 256
+    buffer: int = 300_000  # steps
+    learning_starts: int = 10_000  # random steps before
+    steps_per_update: int = 8
+    q: float = 1.0  # entropic index
+
+    def build(self, env, seed):
+        """The stable-baselines3 model that learns in `env`."""
+        every = max(1, self.steps_per_update // env.num_envs)  # control steps of all worlds between updates
+        return SAC(
+            TsallisPolicy,
+            env,
+            learning_rate=self.learning_rate,
+            gamma=self.gamma,
+            ent_coef=self.alpha,
+            batch_size=self.batch,
+            buffer_size=self.buffer,
+            learning_starts=self.learning_starts,
+            train_freq=every,
+            gradient_steps=max(1, every * env.num_envs // self.steps_per_update),
+            policy_kwargs={"net_arch": list(self.hidden), "q": self.q},
+            seed=seed,
+            device="cpu",
+        )
+
+
+def _linear_layers(module):
+    """[(weight (in, out), bias (out,)), ...] of a torch module's linear layers, in order, as NumPy float32."""
+    linear = [layer for layer in module.modules() if isinstance(layer, torch.nn.Linear)]
+    return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
+
+
+def export(model):
+    """The layers of a model's mean action, and how its output becomes an action: "clip" or "tanh"."""
+    if isinstance(model, PPO):
+        policy = model.policy
+        return _linear_layers(policy.mlp_extractor.policy_net) + _linear_layers(policy.action_net), "clip"
+    return _linear_layers(model.actor.latent_pi) + _linear_layers(model.actor.mu), "tanh"

@@ -1,0 +1,91 @@
+"""Behaviour cloning: regression on the better episodes of an expert (paper, sec. VI-D)."""
+
+import dataclasses
+
+import numpy as np
+import torch
+
+from bson.features import FEATURES, Features
+from bson.metrics import sns
+from bson.session import Recorder, Session
+
+
+@dataclasses.dataclass(frozen=True)
+class BcConfig:
+    """Behaviour cloning. `steps` of training are control steps of demonstrations."""
+
+    expert: str = "ppo"  # a shipped agent or a .npz file
+    keep: float = 0.5  # share of the episodes, those of the highest SNS
+    hidden: tuple[int, ...] = (256, 256)
+    learning_rate: float = 1e-3
+    batch: int = 256
+    epochs: int = 20
+
+
+def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
+    """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
+    actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
+    session = Session(config, track, nworld, seeds=[seed + index for index in range(nworld)])
+    everyone, features, agent = np.arange(nworld), Features(nworld), expert()
+    x = features.begin(everyone, session.reset(everyone, session.next_seeds(everyone)))
+    recorders = [Recorder(session, index) for index in everyone]
+    seen, done = [([], []) for _ in everyone], []
+    collected = 0
+    while collected < steps:
+        action = agent.act(x)
+        for index in everyone:
+            seen[index][0].append(x[index])
+            seen[index][1].append(action[index])
+        observation, _, terminated, truncated = session.step(everyone, action)
+        x = features.step(everyone, observation)
+        for index in everyone:
+            recorders[index].snap()
+        ended = np.flatnonzero(terminated | truncated)
+        for index in ended:
+            done.append((sns(recorders[index].episode()), *map(np.array, seen[index])))
+            collected += len(seen[index][0])
+            seen[index] = ([], [])
+        if len(ended):
+            x[ended] = features.begin(ended, session.reset(ended, session.next_seeds(ended)))
+            for index in ended:
+                recorders[index] = Recorder(session, index)
+        if progress:
+            progress(nworld)
+    return done
+
+
+def select(episodes, keep):
+    """Features (N, FEATURES) and actions (N, 2) of the share `keep` of `episodes` with the highest SNS."""
+    best = sorted(episodes, key=lambda episode: -episode[0])[: max(1, round(keep * len(episodes)))]
+    return np.concatenate([x for _, x, _ in best]), np.concatenate([action for _, _, action in best])
+
+
+def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
+    """Layers that map features `x` (N, FEATURES) to `action` (N, 2), by least squares; a twentieth is held out.
+
+    show: called after each epoch with its number, the loss and that of the held-out share.
+    """
+    torch.manual_seed(seed)
+    sizes = (FEATURES, *config.hidden, action.shape[1])
+    linear = [torch.nn.Linear(*pair) for pair in zip(sizes[:-1], sizes[1:], strict=True)]
+    between = [layer for each in linear[:-1] for layer in (each, torch.nn.ReLU())]
+    network = torch.nn.Sequential(*between, linear[-1])
+    optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
+    order = torch.randperm(len(x))
+    x, action = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
+    held = max(1, len(x) // 20)
+    batches = max(1, (len(x) - held) // config.batch)
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, config.epochs * batches)
+    for epoch in range(1, config.epochs + 1):
+        total = 0.0
+        for rows in (held + torch.randperm(len(x) - held)).chunk(batches):
+            loss = torch.nn.functional.mse_loss(network(x[rows]), action[rows])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total += loss.item()
+        with torch.no_grad():
+            held_out = torch.nn.functional.mse_loss(network(x[:held]), action[:held]).item()
+        show(epoch, total / batches, held_out)
+    return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]

@@ -1,0 +1,240 @@
+"""Training a robot: PPO, SAC and TAC in worlds of the benchmark, or BC from an expert's episodes."""
+
+import dataclasses
+import io
+import pathlib
+import pickle
+import time
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
+
+from bson.agents import learned
+from bson.evaluate import run_episodes, versions
+from bson.learning.algorithms import PpoConfig, SacConfig, export
+from bson.learning.imitation import BcConfig, clone, demonstrate, select
+from bson.learning.vec_env import FeatureVecEnv
+from bson.metrics import measure
+from bson.suites import load_suite
+from bson.task import TaskConfig
+from bson.tracks import make_track
+from macid.files import output_folder, write_bytes, write_json
+from macid.learning.curves import plain, thin, write_curve
+
+ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+_VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
+_RECENT = 100  # ended episodes over which the curve's means go
+_SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """How a robot is trained, on BSON/LocalLidar2D-v0."""
+
+    algo: str = "ppo"
+    seed: int = 0
+    steps: int = 1_000_000  # control steps, of all worlds together
+    task: dict = dataclasses.field(default_factory=dict)  # fields of TaskConfig that differ from the paper's setting
+    num_envs: int = 16
+    validate_every: int = 100_000  # steps; the policy that scores best is the one that is kept
+    validate_episodes: int = 32
+    hyperparameters: PpoConfig | SacConfig | BcConfig | None = None  # default: the algorithm's
+
+    def __post_init__(self):
+        if self.algo not in ALGORITHMS:
+            raise ValueError(f"Unknown algorithm '{self.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
+        for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
+        if self.seed < 0:
+            raise ValueError(f"A seed must be at least 0, not {self.seed}.")
+        TaskConfig().replace(**self.task)
+        if self.hyperparameters is None:
+            object.__setattr__(self, "hyperparameters", ALGORITHMS[self.algo])
+
+    @property
+    def name(self):
+        """The algorithm, and among whom where these are not the default pedestrians: "ppo", "ppo-orca"."""
+        model = self.task.get("pedestrian_model")
+        return f"{self.algo}-{model}" if isinstance(model, str) else self.algo
+
+
+class _Keeper:
+    """Writes policy.npz, policy.json and curve.csv of a training: the policy that did best on the validation episodes."""
+
+    def __init__(self, config, folder):
+        self.config, self.folder = config, folder
+        self.curve, self.validations, self.best, self.spent = [], [], None, 0.0
+        self._begin = time.monotonic()
+
+    @property
+    def state(self):
+        """What a checkpoint holds of it."""
+        return {"curve": self.curve, "validations": self.validations, "best": self.best, "spent": self.seconds}
+
+    def restore(self, state):
+        """Goes on from a `state`."""
+        self.curve, self.validations, self.best = state["curve"], state["validations"], state["best"]
+        self.spent, self._begin = state["spent"], time.monotonic()
+
+    @property
+    def seconds(self):
+        """Time spent so far, in all sittings."""
+        return self.spent + time.monotonic() - self._begin
+
+    def validate(self, layers, output, steps):
+        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores."""
+        seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
+        track = make_track(learned.Learned.track, learned.Learned.sensor)
+        task = TaskConfig().replace(**self.config.task)
+        episodes = run_episodes(lambda: learned.Learned(layers, output), task, track, seeds, self.config.name)
+        measured = [measure(episode) for episode in episodes]
+        scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
+        self.validations.append({"steps": steps, **scores})
+        if self.best is None or scores["SNS"] > self.best["validation"]["SNS"]:
+            self.best = {"layers": layers, "output": output, "steps": steps, "validation": scores}
+        return scores
+
+    def write(self, steps):
+        """Writes the best policy so far, with its recipe."""
+        best = self.best
+        recipe = {
+            "name": self.config.name,
+            **plain(self.config),
+            "steps_done": steps,
+            "seconds": round(self.seconds, 1),
+            "output": best["output"],
+            "from_steps": best["steps"],
+            "validation": best["validation"],
+            "validations": self.validations,
+            "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(self.curve, 60)],
+            "versions": versions(),
+        }
+        learned.save(self.folder / "policy", best["layers"], recipe)
+        if self.curve:
+            write_curve(self.folder / "curve.csv", self.curve)
+
+
+class _Progress(BaseCallback):
+    """Logs, validates and writes checkpoints between an algorithm's updates."""
+
+    def __init__(self, keeper, config, show, seconds_between_checkpoints):
+        super().__init__()
+        self._keeper, self._config, self._show = keeper, config, show
+        self._every, self._last_save, self._last_row = seconds_between_checkpoints, time.monotonic(), -np.inf
+        self.recent = []
+
+    def _on_step(self):
+        ended = [info["episode"] for info in self.locals["infos"] if "episode" in info]
+        self.recent = (self.recent + ended)[-_RECENT:]
+        return True
+
+    def _on_rollout_start(self):
+        now, steps, keeper = time.monotonic(), self.num_timesteps, self._keeper
+        if now - self._last_save > self._every:
+            self._last_save = now
+            save_checkpoint(self.model, keeper, self._config)
+        if self.recent and now - self._last_row > 5.0:
+            self._last_row = now
+            means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
+            keeper.curve.append({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
+            self._show(steps, means)
+        if steps // self._config.validate_every > sum(1 for row in keeper.validations):
+            scores = keeper.validate(*export(self.model), steps)
+            keeper.write(steps)
+            self._show(steps, scores, validation=True)
+
+
+def save_checkpoint(model, keeper, config):
+    """Writes all of a training but the worlds: networks, optimisers, replay buffer, counters, random numbers."""
+    buffer = io.BytesIO()
+    model.save(buffer)
+    content = {
+        "config": config,
+        "steps": model.num_timesteps,
+        "model": buffer.getvalue(),
+        "replay": getattr(model, "replay_buffer", None),
+        "torch": torch.get_rng_state(),
+        "numpy": np.random.get_state(),
+        "keeper": keeper.state,
+    }
+    write_bytes(keeper.folder / "checkpoint.pkl", pickle.dumps(content))
+
+
+def _env(config, steps=0):
+    """The worlds, whose episodes follow from the seed and from how many steps were done before."""
+    return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
+
+
+def _load_checkpoint(path, keeper, config):
+    """The model of a checkpoint; its keeper's state is restored. Raises ValueError if it is another configuration's."""
+    saved = pickle.loads(path.read_bytes())
+    if saved["config"] != config:
+        raise ValueError(f"{path} is of another configuration: {saved['config']}. Use another --out.")
+    keeper.restore(saved["keeper"])
+    kind = PPO if isinstance(config.hyperparameters, PpoConfig) else SAC
+    model = kind.load(io.BytesIO(saved["model"]), env=_env(config, saved["steps"]), device="cpu")
+    if saved["replay"] is not None:
+        model.replay_buffer = saved["replay"]
+    torch.set_rng_state(saved["torch"])
+    np.random.set_state(saved["numpy"])
+    return model
+
+
+def train(
+    config, out, resume=False, show=lambda steps, figures, validation=False: None, seconds_between_checkpoints=120
+):
+    """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and curve.csv.
+
+    show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
+    resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
+    the running means of the curve. Raises ValueError if the checkpoint is another configuration's.
+    """
+    folder = output_folder(pathlib.Path(out) / f"{config.name}-{config.seed}")
+    write_json(folder / "config.json", plain(config))
+    keeper = _Keeper(config, folder)
+    if config.algo == "bc":
+        return _train_bc(config, keeper, show)
+    checkpoint = folder / "checkpoint.pkl"
+    going_on = resume and checkpoint.exists()
+    if going_on:
+        model = _load_checkpoint(checkpoint, keeper, config)
+    else:
+        model = config.hyperparameters.build(_env(config), config.seed)
+    left = config.steps - model.num_timesteps
+    progress = _Progress(keeper, config, show, seconds_between_checkpoints)
+    if left > 0:
+        model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not going_on)
+        scores = keeper.validate(*export(model), model.num_timesteps)
+        show(model.num_timesteps, scores, validation=True)
+        save_checkpoint(model, keeper, config)
+    keeper.write(model.num_timesteps)
+    return folder
+
+
+def _train_bc(config, keeper, show):
+    hyperparameters, task = config.hyperparameters, TaskConfig().replace(**config.task)
+    track = make_track(learned.Learned.track, learned.Learned.sensor)
+    steps = 0
+
+    def progress(more):
+        nonlocal steps
+        steps += more
+        if steps % (100 * more) == 0:
+            show(min(steps, config.steps), {})
+
+    expert = learned.load(hyperparameters.expert)
+    seed = 1_000_000 * (config.seed + 1)
+    episodes = demonstrate(expert, task, track, config.steps, seed, config.num_envs, progress)
+    x, action = select(episodes, hyperparameters.keep)
+
+    def each(epoch, loss, held_out):
+        keeper.curve.append({"epoch": epoch, "loss": loss, "held_out": held_out})
+        show(config.steps, keeper.curve[-1])
+
+    layers = clone(x, action, hyperparameters, config.seed, each)
+    show(config.steps, keeper.validate(layers, "clip", config.steps), validation=True)
+    keeper.write(config.steps)
+    return keeper.folder

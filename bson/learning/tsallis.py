@@ -1,0 +1,44 @@
+"""Tsallis actor-critic (Lee et al. 2020): soft actor-critic with the Tsallis entropy. Only what sets it apart.
+
+SAC's targets and losses hold log pi(a|s) = sum over the action's dimensions of ln pi(a_d|s). TAC holds ln_q in place of
+ln; at q = 1 the two are the same. All else is stable-baselines3's SAC.
+"""
+
+import torch
+from stable_baselines3.sac.policies import Actor, SACPolicy
+
+_EPSILON = 1e-6  # as stable-baselines3's squashed Gaussian
+
+
+def log_q(log_x, q):
+    """ln_q x = (x^(q-1) - 1) / (q - 1) of ln x, elementwise; ln x at q = 1. For q > 1 it is at least -1 / (q - 1)."""
+    return log_x if q == 1.0 else torch.expm1((q - 1.0) * log_x) / (q - 1.0)
+
+
+class TsallisActor(Actor):
+    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities."""
+
+    q = 1.0
+
+    def action_log_prob(self, obs):
+        """Actions (N, 2) drawn for `obs` (N, features), and the sum over dimensions of ln_q pi (N,)."""
+        mean, log_std, kwargs = self.get_action_dist_params(obs)
+        action = self.action_dist.actions_from_params(mean, log_std, **kwargs)
+        gaussian = self.action_dist.distribution.log_prob(self.action_dist.gaussian_actions)
+        log_density = gaussian - torch.log(1.0 - action**2 + _EPSILON)
+        return action, log_q(log_density, self.q).sum(dim=-1)
+
+
+class TsallisPolicy(SACPolicy):
+    """SAC's networks with a TsallisActor of the entropic index `q`."""
+
+    def __init__(self, *args, q=1.2, **kwargs):
+        self._q = q  # before the networks are built
+        super().__init__(*args, **kwargs)
+
+    def make_actor(self, features_extractor=None):
+        """The actor; called by SACPolicy."""
+        kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        actor = TsallisActor(**kwargs).to(self.device)
+        actor.q = self._q
+        return actor

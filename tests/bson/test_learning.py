@@ -1,0 +1,212 @@
+"""Training robots: against hand-computed cases, and against stable-baselines3's own SAC."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+stable_baselines3 = pytest.importorskip("stable_baselines3")
+
+import gymnasium
+
+from bson.agents import learned
+from bson.env import BsonEnv
+from bson.features import FEATURES, Features
+from bson.learning.algorithms import PpoConfig, SacConfig, export
+from bson.learning.imitation import BcConfig, clone, select
+from bson.learning.train import TrainConfig, train
+from bson.learning.tsallis import log_q
+from bson.learning.vec_env import FeatureVecEnv
+
+QUICK = {"num_pedestrians": 2, "pedestrian_model": "social-force", "map_size": 20.0, "goal_distance": (4.0, 8.0)}
+TASK = {**QUICK, "horizon": 40}
+SMALL_PPO = PpoConfig(hidden=(16, 16), rollout=32, batch=32, epochs=2)
+SMALL_SAC = SacConfig(hidden=(16, 16), learning_starts=32, batch=16, steps_per_update=4, buffer=1000)
+
+
+def config(algo, hyperparameters, steps=256, **more):
+    return TrainConfig(
+        algo, steps=steps, task=TASK, num_envs=2, validate_every=10**6, validate_episodes=2,
+        hyperparameters=hyperparameters, **more,
+    )  # fmt: skip
+
+
+class OnLine(gymnasium.Env):
+    """A point on a line that is rewarded near the origin."""
+
+    observation_space = gymnasium.spaces.Box(-5.0, 5.0, (3,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        self._place, self._steps = np.array([1.0, -1.0, 0.5], np.float32), 0
+        return self._place.copy(), {}
+
+    def step(self, action):
+        self._place[:2] = np.clip(self._place[:2] + 0.2 * action, -5.0, 5.0)
+        self._steps += 1
+        return self._place.copy(), -float(np.abs(self._place).sum()), False, self._steps == 30, {}
+
+
+def line_env():
+    return stable_baselines3.common.vec_env.DummyVecEnv([OnLine])
+
+
+def test_log_q_of_known_numbers():
+    x = torch.tensor([0.25, 1.0, 4.0], dtype=torch.float64)
+    assert log_q(x.log(), 1.0).tolist() == pytest.approx(np.log([0.25, 1.0, 4.0]))
+    assert log_q(x.log(), 2.0).tolist() == pytest.approx([-0.75, 0.0, 3.0])  # x - 1
+    assert log_q(x.log(), 1.5).tolist() == pytest.approx([-1.0, 0.0, 2.0])  # 2 (sqrt x - 1)
+
+
+def test_log_q_is_bounded_below_and_tends_to_the_logarithm():
+    log_x = torch.linspace(-200.0, 3.0, 500, dtype=torch.float64)
+    value = log_q(log_x, 1.2)
+    assert value.min() >= -5.0 - 1e-12 and value[0] == pytest.approx(-5.0)
+    assert (value.diff() >= 0).all() and (value >= log_x - 1e-12).all()  # equal at x = 1 only
+    assert log_q(log_x[-50:], 1.0 + 1e-7).numpy() == pytest.approx(log_x[-50:].numpy(), abs=1e-4)
+
+
+def snapshots(model):
+    """Parameters after 40, 80 and 160 steps."""
+    for steps in (40, 80, 160):
+        model.learn(steps - model.num_timesteps, reset_num_timesteps=model.num_timesteps == 0)
+        yield model._n_updates, {name: value.numpy().copy() for name, value in model.policy.state_dict().items()}
+
+
+def test_tac_at_q_one_is_sac_update_by_update():
+    tac = dataclasses.replace(SMALL_SAC, q=1.0).build(line_env(), seed=3)
+    ours = list(snapshots(tac))
+    sac = stable_baselines3.SAC(
+        "MlpPolicy", line_env(), learning_rate=1e-3, gamma=0.99, ent_coef=0.02, batch_size=16, buffer_size=1000,
+        learning_starts=32, train_freq=tac.train_freq.frequency, gradient_steps=tac.gradient_steps,
+        policy_kwargs={"net_arch": [16, 16]}, seed=3, device="cpu",
+    )  # fmt: skip
+    for (updates, a), (expected_updates, b) in zip(ours, snapshots(sac), strict=True):
+        assert updates == expected_updates > 0
+        for name in b:
+            assert a[name] == pytest.approx(b[name], abs=1e-5), name
+
+
+def test_another_q_is_another_algorithm():
+    models = [dataclasses.replace(SMALL_SAC, q=q).build(line_env(), seed=3).learn(100) for q in (1.0, 1.2)]
+    first, second = (model.actor.mu.weight.detach().numpy() for model in models)
+    assert np.abs(first - second).max() > 1e-4
+
+
+@pytest.mark.parametrize("hyperparameters", [SMALL_PPO, SMALL_SAC], ids=["ppo", "sac"])
+def test_what_is_exported_acts_as_the_model_does(hyperparameters, tmp_path):
+    env = FeatureVecEnv(2, seed=0, **TASK)
+    model = hyperparameters.build(env, seed=0)
+    layers, output = export(model)
+    learned.save(tmp_path / "policy", layers, {"output": output})
+    x = np.random.default_rng(0).normal(0.0, 1.0, (50, FEATURES)).astype(np.float32)
+    expected, _ = model.predict(x, deterministic=True)
+    assert learned.load(str(tmp_path / "policy.npz"))().act(x) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_worlds_are_the_environments():
+    """An episode seen through FeatureVecEnv is the one that BsonEnv plays: features, rewards, end and score."""
+    worlds = FeatureVecEnv(2, seed=5, **TASK)
+    x = worlds.reset()
+    alone = BsonEnv(**TASK)
+    observation, info = alone.reset(seed=6)
+    assert info["seed"] == 6
+    features, total = Features(1), 0.0
+    batched = {name: value[None] for name, value in observation.items()}
+    assert (features.begin([0], batched)[0] == x[1]).all()
+    for _ in range(TASK["horizon"]):
+        x, reward, done, infos = worlds.step(np.tile([0.5, 0.1], (2, 1)))
+        observation, single, terminated, truncated, info = alone.step(np.array([0.5, 0.1]))
+        total += single
+        seen = features.step([0], {name: value[None] for name, value in observation.items()})[0]
+        assert reward[1] == pytest.approx(single, abs=1e-6) and done[1] == (terminated or truncated)
+        assert (seen == (infos[1]["terminal_observation"] if done[1] else x[1])).all()
+        if done[1]:
+            break
+    assert infos[1]["TimeLimit.truncated"] == truncated
+    assert infos[1]["episode"]["r"] == pytest.approx(total) and infos[1]["episode"]["Coll"] == info["collisions"]
+
+
+def test_stable_baselines3_and_our_evaluation_agree(tmp_path):
+    """evaluate_policy's return of an episode is the one that the exported agent earns on the same seed."""
+    from stable_baselines3.common.evaluation import evaluate_policy
+
+    model = SMALL_PPO.build(FeatureVecEnv(1, seed=11, **TASK), seed=0)
+    returns, lengths = evaluate_policy(model, FeatureVecEnv(1, seed=11, **TASK), 1, return_episode_rewards=True)
+    agent, env = learned.Learned(*export(model)), BsonEnv(**TASK)
+    observation, _ = env.reset(seed=11)
+    agent.reset(11)
+    total, steps, over = 0.0, 0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(agent(observation))
+        total, steps, over = total + reward, steps + 1, terminated or truncated
+    assert returns == [pytest.approx(total, abs=1e-4)] and lengths == [steps]
+
+
+@pytest.mark.parametrize(
+    ("algo", "hyperparameters"), [("ppo", SMALL_PPO), ("tac", dataclasses.replace(SMALL_SAC, q=1.2))]
+)
+def test_a_training_writes_what_can_be_evaluated_and_goes_on(algo, hyperparameters, tmp_path):
+    class Stop(Exception):
+        pass
+
+    whole = config(algo, hyperparameters)
+
+    def stop(steps, figures, validation=False):
+        raise Stop
+
+    with pytest.raises(Stop):
+        train(dataclasses.replace(whole), tmp_path, show=stop, seconds_between_checkpoints=0)
+    folder = tmp_path / f"{algo}-social-force-0"
+    assert (folder / "checkpoint.pkl").exists()
+    assert train(whole, tmp_path, resume=True) == folder
+    recipe = json.loads((folder / "policy.json").read_text())
+    assert recipe["steps_done"] >= whole.steps and recipe["algo"] == algo
+    agent = learned.load(str(folder / "policy.npz"))()
+    observation, _ = BsonEnv(**TASK).reset(seed=0)
+    assert np.abs(agent(observation)).max() <= 1.0
+    with pytest.raises(ValueError, match="another configuration"):
+        train(dataclasses.replace(whole, steps=512), tmp_path, resume=True)
+
+
+def test_a_clone_does_what_the_better_episodes_did(tmp_path):
+    rng = np.random.default_rng(0)
+
+    def episode(score, sign):
+        x = rng.normal(0.0, 1.0, (400, FEATURES)).astype(np.float32)
+        return score, x, sign * np.clip(x[:, :2], -1.0, 1.0)
+
+    x, action = select([episode(90.0, 1.0), episode(10.0, -1.0), episode(80.0, 1.0), episode(0.0, -1.0)], keep=0.5)
+    assert len(x) == 800 and (action == np.clip(x[:, :2], -1.0, 1.0)).all()
+    losses = []
+    layers = clone(
+        x, action, BcConfig(hidden=(32,), batch=50, epochs=60), seed=0, show=lambda e, loss, held: losses.append(held)
+    )
+    assert losses[-1] < 0.5 * losses[0]
+    assert np.corrcoef(learned.Learned(layers, "clip").act(x)[:, 0], action[:, 0])[0, 1] > 0.9
+
+
+def test_bc_learns_from_an_expert_file(tmp_path):
+    env = FeatureVecEnv(1, seed=0, **TASK)
+    layers, output = export(SMALL_PPO.build(env, seed=0))
+    learned.save(tmp_path / "expert", layers, {"output": output})
+    hyperparameters = BcConfig(expert=str(tmp_path / "expert.npz"), hidden=(16,), epochs=2)
+    folder = train(config("bc", hyperparameters, steps=100), tmp_path)
+    assert json.loads((folder / "policy.json").read_text())["validation"]["SNS"] >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"algo": "dqn"}, "Choose one of ppo, sac, tac, bc"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"seed": -1}, "seed must be at least 0"),
+        ({"task": {"pedestrians": 3}}, "Unknown option 'pedestrians'"),
+    ],
+)
+def test_a_wrong_setting_is_told(arguments, told):
+    with pytest.raises(ValueError, match=told):
+        TrainConfig(**arguments)
