@@ -13,7 +13,7 @@ from dm_control.mujoco import Physics
 from dm_control.mujoco.wrapper.core import MjModel
 from dm_env import specs
 
-from bson.env import ACTION_SPACE
+from bson.env import ACTION_SPACE, _first
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
@@ -84,10 +84,6 @@ class Environment(dm_env.Environment):
         data.time = self.world.time[0]
         self.physics.forward()
         np.copyto(data.sensordata, batch.bind("sensordata")[0])
-
-
-def _first(observation):
-    return {name: values[0] for name, values in observation.items()}
 
 
 def _spec(space, name):

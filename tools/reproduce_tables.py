@@ -220,7 +220,12 @@ def main():
     parser.add_argument(
         "--seeds", type=int, default=SEEDS, help=f"a model, of those that are trained (default {SEEDS})"
     )
-    parser.add_argument("--agent-steps", type=float, default=BUDGET, help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)")
+    parser.add_argument(
+        "--agent-steps",
+        type=float,
+        default=BUDGET,
+        help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
+    )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
     parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
     parser.add_argument("--out", default="tables")

@@ -14,36 +14,54 @@ import sys
 
 import numpy as np
 
+from bson.agents import learned
+
 BUILT_IN = {
     "stop": "bson.agents.scripted:stop",
     "random": "bson.agents.scripted:Random",
     "goal": "bson.agents.scripted:goal",
     "vfh": "bson.agents.vfh:Vfh",
+    "dwa": "bson.agents.dwa:Dwa",
     "astar": "bson.agents.planning:AStar",
     "rrt": "bson.agents.planning:Rrt",
     "rrt-star": "bson.agents.planning:RrtStar",
     "carrt-star": "bson.agents.planning:CarrtStar",
+    "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
-_HELP = f"Choose one of {', '.join(BUILT_IN)}, a 'module:function', or a file 'agent.py[:function]'."
 
 
 class AgentError(ValueError):
     """An agent can't be found, or did what no agent may do."""
 
 
+def agent_names():
+    """Names of the agents that come with the benchmark: scripted, planning and trained ones."""
+    return [*BUILT_IN, *learned.names()]
+
+
+def _help():
+    return (
+        f"Choose one of {', '.join(agent_names())}, a 'module:function', a file 'agent.py[:function]', "
+        "or a trained 'policy.npz'."
+    )
+
+
 def load_agent(name):
-    """The agent `name`: a built-in one, `module:attribute`, or `file.py[:attribute]` (attribute `agent` if not given).
+    """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given), or
+    a trained one's file .npz.
 
     Returns a factory: called without arguments, it gives a callable for one world; its `track` and `sensor` name what the
     agent wants to be given (attributes of the agent; "local" and "lidar2d" without). Raises AgentError.
     """
     if name in BUILT_IN:
         return _factory(_from_module(*BUILT_IN[name].split(":"), name), name)
+    if name in learned.names() or name.endswith(".npz"):
+        return learned.load(name)
     module, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
     if (module or name).endswith(".py"):
         return _factory(_from_file(module or name, attribute or "agent", name), name)
     if not attribute:
-        raise AgentError(f"Unknown agent '{name}'. {_HELP}")
+        raise AgentError(f"Unknown agent '{name}'. {_help()}")
     return _factory(_from_module(module, attribute, name), name)
 
 
@@ -53,13 +71,13 @@ def _from_module(module, attribute, name):
     try:
         loaded = importlib.import_module(module)
     except ImportError as error:
-        raise AgentError(f"Agent '{name}': can't import '{module}' ({error}). {_HELP}") from None
+        raise AgentError(f"Agent '{name}': can't import '{module}' ({error}). {_help()}") from None
     return _attribute(loaded, attribute, name)
 
 
 def _from_file(path, attribute, name):
     if not pathlib.Path(path).is_file():
-        raise AgentError(f"Agent '{name}': there is no file '{path}'. {_HELP}")
+        raise AgentError(f"Agent '{name}': there is no file '{path}'. {_help()}")
     spec = importlib.util.spec_from_file_location(f"bson_agent_{pathlib.Path(path).stem}", path)
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     folder = str(pathlib.Path(path).resolve().parent)

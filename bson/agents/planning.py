@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from bson.planners import CarrtStarConfig, Grid, NoPath, PurePursuit, RrtStarConfig, plan, shortcut, social_cost
-from macid import geometry
+from bson.agents.global_view import GlobalView
+from bson.planners import CarrtStarConfig, NoPath, PurePursuit, RrtStarConfig, plan, shortcut, social_cost
 
 _CLEARANCE = 0.40  # kept from walls: the Jackal's circle of 0.31 m, and what a follower cuts of a corner [m]
-_PERIOD = 0.1  # between decisions, from which people's velocities are guessed [s]
 
 
 class _Planning:
@@ -17,42 +16,39 @@ class _Planning:
     top = np.array([2.0, 2.0])  # that an action of 1 stands for [m/s, rad/s]
 
     def __init__(self):
-        self._follower = PurePursuit()
+        self._follower, self._view = PurePursuit(), GlobalView()
         self.reset(0)
 
     def reset(self, seed):
         """Begins an episode."""
         self._rng = np.random.default_rng(seed)
-        self._grid = self._path = self._people = None
+        self._view.reset()
+        self._grid = self._path = None
         self._age = 0
 
     def __call__(self, observation):
         """The action for a Global observation (see bson.env.BsonEnv)."""
-        pose = np.asarray(observation["pose"], float)
-        goal = pose[:2] + geometry.rotate(np.asarray(observation["goal"], float), pose[2])
+        self._view.see(observation)
         if self._grid is None:
-            raw = Grid(observation["map"] > 0, float(observation["map_resolution"][0]), observation["map_origin"])
-            self._grid = raw.inflated(_CLEARANCE)
-        people = np.asarray(observation["people"], float)
-        velocity = np.zeros_like(people) if self._people is None else (people - self._people) / _PERIOD
-        self._people = people
+            self._grid = self._view.map.inflated(_CLEARANCE)
         if self._path is None or self._age >= self.replan:
-            self._plan(pose, goal, people, velocity)
+            self._plan()
         self._age += 1
         if self._path is None:
             return np.zeros(2)
-        return np.clip(np.array(self._follower(pose, self._path)) / self.top, -1.0, 1.0)
+        return np.clip(np.array(self._follower(self._view.pose, self._path)) / self.top, -1.0, 1.0)
 
-    def _plan(self, pose, goal, people, velocity):
+    def _plan(self):
         self._age = 0
-        cost = social_cost(self._grid, people, velocity)
-        start, end = self._grid.nearest_free(pose[:2]), self._grid.nearest_free(goal)
+        view = self._view
+        cost = social_cost(self._grid, view.people, view.people_velocity)
+        start, end = self._grid.nearest_free(view.pose[:2]), self._grid.nearest_free(view.goal)
         try:
             path = plan(self.planner, self._grid, start, end, cost, self._rng, self.config)
         except NoPath:
             return  # the last path, if there is one, is better than none
         path = shortcut(path, self._grid, cost)
-        self._path = np.concatenate([path[:-1], goal[None]])
+        self._path = np.concatenate([path[:-1], view.goal[None]])
 
 
 class AStar(_Planning):

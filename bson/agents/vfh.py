@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bson.robot import RobotConfig
+from bson.robot import JACKAL
 from bson.sensors import Lidar2D
 
 _LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # the products of a least-squares fit
@@ -78,7 +78,7 @@ class VfhConfig:
 class Vfh:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, config=VfhConfig(), lidar=Lidar2D(), robot=RobotConfig()):
+    def __init__(self, config=VfhConfig(), lidar=Lidar2D(), robot=JACKAL.config):
         self.config, self._limit = config, np.array([robot.max_speed, robot.max_yaw_rate])
         self._angles = lidar.angles
         self._beam_directions = _unit(lidar.angles)

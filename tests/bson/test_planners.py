@@ -5,7 +5,6 @@ import pytest
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from bson import planners
 from bson.planners import (
     PLANNERS,
     AStarConfig,
@@ -21,6 +20,7 @@ from bson.planners import (
     shortcut,
     social_cost,
 )
+from bson.planners.trees import RrtStar
 from macid.layout import Layout, maze_layout
 from macid.routing import occupancy_grid
 
@@ -370,7 +370,7 @@ def test_more_samples_make_no_path_worse(name, with_cost):
 def test_rewiring_keeps_the_trees_costs_true():
     cost = social_cost(SCREEN, [[0.5, 4.0], [-3.0, -3.0], [4.0, 0.0]], [[1, 0], [0, 1], [-1, -1]])
     ends = (np.array([(-6.0, -7.0), (6.0, -7.0)]) - SCREEN.origin) / SCREEN.resolution
-    tree = planners._RrtStar(SCREEN, 1 + cost, *ends, np.random.default_rng(0), QUICK["rrt-star"])
+    tree = RrtStar(SCREEN, 1 + cost, *ends, np.random.default_rng(0), QUICK["rrt-star"])
     tree.path()
     points = SCREEN.origin + SCREEN.resolution * tree.points
     assert len(tree.parents) > 60

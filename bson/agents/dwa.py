@@ -1,0 +1,169 @@
+"""The Dynamic Window Approach on the 2D LIDAR (Fox, Burgard and Thrun, IEEE Robotics and Automation Magazine, 1997).
+
+Each control period the agent looks at the velocities (v, w) that the motors can reach within it: the dynamic window.
+Each is an arc, and the scan says how far the robot's footprint can go along it. A velocity is admissible where the
+robot can stop before it touches anything. Of these it takes the one with the most of
+
+    heading_weight * heading + clearance_weight * clearance + speed_weight * speed,
+
+each in [0, 1]: how well the robot looks towards the goal a moment later, how far the arc is free and how much room it
+leaves, and how fast it is. Where none is admissible, or the best is to stand, the robot turns on the spot until there
+is a way ahead, or backs out where it can't turn.
+
+Two things are not in the paper. Clearance has the room beside the arc in it, and very close to something the robot is
+slow: else it drives on beside somebody whose way slowly meets its own, until they touch. Speed counts less beside the
+goal and away from it: else it circles the goal.
+
+People are what the present scan shows of them, as if they stood, and there is neither memory nor map: dead ends may
+hold the robot. Both are limits of the method.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bson.robot import JACKAL
+from bson.sensors import Lidar2D
+
+
+@dataclass(frozen=True)
+class DwaConfig:
+    """What `Dwa` assumes and weighs. Metres, seconds, radians; weights have no unit."""
+
+    period: float = 0.1  # between two calls
+    mount: float = 0.12  # of the LIDAR ahead of the robot's centre
+    acceleration: float = 6.5  # that the tyres give [m/s2]
+    yaw_acceleration: float = 18.0  # [rad/s2]
+    braking: float = 3.0  # that a stop is sure to have [m/s2]
+    yaw_braking: float = 10.0  # [rad/s2]
+    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns in more than it is told to [m/s2]
+    speeds: int = 9  # in the window
+    rates: int = 15
+
+    sector_beams: int = 6  # beams of which the nearest point counts
+    far: float = 2.5  # way along an arc that is looked at
+    far_turn: float = 2.0  # and turn, where that is less [rad]
+    steps: int = 14  # of an arc
+    near: float = 1.2  # gap below which room is short
+    margin: float = 0.06  # that the footprint grows by
+    margin_per_speed: float = 0.1  # and more for each m/s [s]
+    slack: float = 0.1  # share of the gap by which who is within the margin may come closer
+    pass_time: float = 0.05  # the present gap over this is the top speed [s]
+    creep: float = 0.4  # that may be driven at any gap [m/s]
+
+    heading_time: float = 0.3  # after which the heading counts
+    heading_weight: float = 1.5
+    clearance_weight: float = 2.0
+    speed_weight: float = 1.0
+    approach_time: float = 1.0  # speed that would reach the goal sooner is worth no more
+
+    standing: float = 0.1  # speed below which it stands [m/s]
+    escape_rate: float = 1.2  # of turning on the spot [rad/s]
+    escape_speed: float = 0.4  # of backing out [m/s]
+
+
+class Dwa:
+    """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
+
+    def __init__(self, config=DwaConfig(), lidar=Lidar2D(), robot=JACKAL.config):
+        self.config, self._limit = config, np.array([robot.max_speed, robot.max_yaw_rate])
+        self._half = np.array([robot.half_length, robot.half_width])  # of the footprint
+        self._directions = np.stack([np.cos(lidar.angles), np.sin(lidar.angles)], axis=-1)
+        self.reset()
+
+    def reset(self, seed=None):
+        """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
+        self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
+
+    def __call__(self, observation):
+        goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
+        points = self._points(np.asarray(observation["lidar"], float))
+        bearing = math.atan2(goal[1], goal[0])
+        speed, rate = self.window(velocity, bearing)
+        clearance, admissible = self._clearance(speed, rate, points, np.hypot(*goal))
+        admissible &= np.abs(speed * rate) <= self.config.max_lateral_acceleration
+        value = np.where(admissible & (rate * self._side >= 0), self._value(speed, rate, clearance, goal), -np.inf)
+        best = int(value.argmax())
+        if np.isinf(value[best]) or speed[best] < self.config.standing:
+            return self._escape(points, bearing) / self._limit
+        self._side = 0.0
+        return np.array([speed[best], rate[best]]) / self._limit
+
+    def window(self, velocity, bearing=0.0):
+        """Velocities v (n,) [m/s] and w (n,) [rad/s] within a control period's reach of `velocity` (2,).
+
+        A grid, and the yaw rate that turns the robot towards the goal, `bearing` [rad], in heading_time.
+        """
+        c = self.config
+        now = np.clip(velocity, [0.0, -self._limit[1]], self._limit)
+        change = np.array([c.acceleration, c.yaw_acceleration]) * c.period
+        low, high = np.clip([now - change, now + change], [0.0, -self._limit[1]], self._limit)
+        rates = np.linspace(low[1], high[1], c.rates)
+        rates = np.append(rates, np.clip([0.0, bearing / c.heading_time], low[1], high[1]))
+        speed, rate = np.meshgrid(np.linspace(low[0], high[0], c.speeds), rates)
+        return speed.ravel(), rate.ravel()
+
+    def _points(self, scan):
+        """The nearest point (m, 2) [m] of each sector of the scan that is in reach, robot frame."""
+        c = self.config
+        sectors = scan.reshape(-1, c.sector_beams)
+        nearest = sectors.argmin(axis=1) + np.arange(len(sectors)) * c.sector_beams
+        nearest = nearest[scan[nearest] < c.far + 2 * self._half[0]]
+        return scan[nearest, None] * self._directions[nearest] + [c.mount, 0.0]
+
+    def _clearance(self, speed, rate, points, distance):
+        """Of the arcs of `speed` (n,) and `rate` (n,): the clearance (n,) in [0, 1], and whether it is admissible (n,).
+
+        An arc ends `far` or `far_turn` on, or where the footprint comes closer to a point than the margin; who is
+        within the margin already may go on, but hardly closer. The clearance is the mean of gap / near, at most 1, as
+        far as the goal at `distance` [m] is, and 0 beyond the end. What is too fast for the present gap is never
+        admissible.
+        """
+        c = self.config
+        length = np.minimum(c.far / np.maximum(np.abs(speed), 1e-3), c.far_turn / np.maximum(np.abs(rate), 1e-3))
+        time = length[:, None] * np.arange(c.steps + 1) / c.steps  # (n, steps + 1) [s]
+        gap = self._gaps(speed[:, None], rate[:, None], time, points)
+        margin = np.minimum(c.margin + c.margin_per_speed * np.abs(speed), gap[:, 0] - c.slack * np.abs(gap[:, 0]))
+        hit = np.logical_or.accumulate(gap[:, 1:] < margin[:, None], axis=1)
+        hit |= (np.abs(speed) > np.maximum(c.creep, gap[:, 0] / c.pass_time))[:, None]
+        room = np.where(hit, 0.0, np.clip(gap[:, 1:] / c.near, 0.0, 1.0))
+        clearance = room.mean(axis=1, where=np.abs(speed)[:, None] * time[:, :-1] <= distance)
+        free = length * (~hit).mean(axis=1)  # [s]
+        stop = c.period + np.maximum(np.abs(speed) / (2 * c.braking), np.abs(rate) / (2 * c.yaw_braking))
+        return clearance, ~hit[:, -1] | (free >= stop)
+
+    def _gaps(self, speed, rate, time, points):
+        """Least gap (n, T) [m] of `points` (m, 2) to the footprint, `time` (n, T) [s] along an arc; negative inside."""
+        if not len(points):
+            return np.full(time.shape, self.config.far)
+        turn = rate * time
+        chord = speed * time * np.sinc(turn / (2 * np.pi))  # at half the turn
+        x, y = chord * np.cos(turn / 2), chord * np.sin(turn / 2)
+        c, s = np.cos(turn), np.sin(turn)
+        rows = np.column_stack([points, np.ones(len(points))]).astype(np.float32)  # into the footprint's frame
+        ahead = rows @ np.stack([c, s, -c * x - s * y]).reshape(3, -1).astype(np.float32)
+        aside = rows @ np.stack([-s, c, s * x - c * y]).reshape(3, -1).astype(np.float32)
+        beyond = np.maximum(np.abs(ahead) - np.float32(self._half[0]), np.abs(aside) - np.float32(self._half[1]))
+        return beyond.min(axis=0).reshape(time.shape)
+
+    def _value(self, speed, rate, clearance, goal):
+        """The objective (n,) of velocities `speed` (n,), `rate` (n,) with `clearance` (n,), for `goal` (2,) [m]."""
+        c = self.config
+        turn = rate * c.heading_time
+        chord = speed * c.heading_time * np.sinc(turn / (2 * np.pi))
+        bearing = np.arctan2(goal[1] - chord * np.sin(turn / 2), goal[0] - chord * np.cos(turn / 2)) - turn
+        heading = 1.0 - np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) / np.pi
+        fast = np.minimum(1.0, 2.0 * heading) * np.minimum(speed, np.hypot(*goal) / c.approach_time) / self._limit[0]
+        return c.heading_weight * heading + c.clearance_weight * clearance + c.speed_weight * fast
+
+    def _escape(self, points, bearing):
+        """The command (2,) (v, w) out of a place without an admissible motion ahead."""
+        c = self.config
+        if not self._side:
+            self._side = 1.0 if bearing >= 0 else -1.0
+        speed = np.array([0.0, -c.escape_speed])
+        rate = np.array([self._side * c.escape_rate, 0.0])
+        _, admissible = self._clearance(speed, rate, points, c.far)
+        best = int(admissible.argmax())
+        return np.array([speed[best], rate[best]]) if admissible[best] else np.zeros(2)

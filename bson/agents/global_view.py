@@ -1,0 +1,32 @@
+"""What an agent of the Global track makes of its observations: the map as a grid, and people's velocities."""
+
+import numpy as np
+
+from bson.planners import Grid
+from macid import geometry
+
+PERIOD = 0.1  # between observations [s]
+
+
+class GlobalView:
+    """The present, in the world frame [m, m/s, rad]: `see` each observation of an episode in turn."""
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        """Forgets the last episode."""
+        self.map = None  # Grid
+        self.pose, self.goal = np.zeros(3), np.zeros(2)  # (x, y, yaw), (x, y)
+        self.people = self.people_velocity = None  # (K, 2)
+
+    def see(self, observation):
+        """Takes in a Global observation (see bson.env.BsonEnv). People stand until they were seen twice."""
+        if self.map is None:
+            resolution = float(observation["map_resolution"][0])
+            self.map = Grid(observation["map"] > 0, resolution, observation["map_origin"])
+        self.pose = np.asarray(observation["pose"], float)
+        self.goal = self.pose[:2] + geometry.rotate(np.asarray(observation["goal"], float), self.pose[2])
+        people = np.asarray(observation["people"], float)
+        before = people if self.people is None else self.people
+        self.people, self.people_velocity = people, (people - before) / PERIOD

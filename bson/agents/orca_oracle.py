@@ -1,0 +1,168 @@
+"""ORCA on ground truth: an agent that knows where everybody is and how they walk (Global track).
+
+The half-planes and linear programmes are those of the pedestrians' ORCA (macid.pedestrians.orca). The robot differs
+from them in three things.
+
+- It can't step aside. So ORCA moves a point `ahead` of its centre: speed and yaw rate (v, w) give that point the
+  velocity (v, ahead w) in the robot's frame, so that it can be moved to any side (Snape et al., "Smooth and
+  collision-free navigation for multiple robots under differential-drive constraints", IROS 2010). The limits are
+  further half-planes, and the disc around the point covers the whole footprint.
+- People don't know that it follows ORCA, and needn't give way: it takes the share `responsibility` of each avoidance.
+- Walls are the rectangles of the map's occupied cells, and the preferred velocity leads to the next corner of an A*
+  path, as ORCA alone finds no way out of a dead end.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bson.agents.global_view import PERIOD, GlobalView
+from bson.planners import NoPath, plan, shortcut
+from bson.robot import JACKAL
+from macid import geometry
+from macid.pedestrians.orca import ORCA, best_velocity
+from macid.pedestrians.social_force import left_of
+from macid.state import RADIUS, parking_place
+
+
+@dataclass(frozen=True)
+class OrcaOracleConfig:
+    """What `OrcaOracle` assumes. Metres and seconds."""
+
+    ahead: float = 0.2  # of the robot's centre, the point that ORCA moves
+    preferred_speed: float = 1.8  # [m/s]
+    max_back_speed: float = 0.6  # [m/s]
+    responsibility: float = 1.0  # the robot's share of an avoidance; 0.5 counts on people's half
+    neighbors: int = 10  # the nearest ones count
+    horizon: float = 2.0  # for people
+    margin: float = 0.05  # kept from people and walls
+    walls: int = 8  # likewise
+    wall_horizon: float = 1.0
+    path_clearance: float = 0.15  # of the path from walls, beside the disc
+    replan: int = 10  # decisions between two plans at least
+
+
+class OrcaOracle:
+    """The agent: called with a world's Global observation each control period, it returns an action (2,) in [-1, 1]."""
+
+    track, sensor = "global", "lidar2d"
+
+    def __init__(self, config=OrcaOracleConfig(), robot=JACKAL.config):
+        self.config, self._robot = config, robot
+        self.radius = math.hypot(robot.half_length + config.ahead, robot.half_width)  # of the disc around the point
+        self._view = GlobalView()
+        self.reset()
+
+    def reset(self, seed=None):
+        """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
+        self._view.reset()
+        self._grid = self._boxes = self._path = None
+        self._planned = 0  # decisions ago
+
+    def __call__(self, observation):
+        view, robot = self._view, self._robot
+        view.see(observation)
+        if self._grid is None:
+            self._grid = view.map.inflated(self.radius + self.config.path_clearance)
+            self._boxes = occupied_boxes(view.map)
+        yaw = view.pose[2]
+        point = view.pose[:2] + geometry.rotate(np.array([self.config.ahead, 0.0]), yaw)
+        v, w = np.asarray(observation["velocity"], float)
+        velocity = geometry.rotate(np.array([v, self.config.ahead * w]), yaw)
+        people = np.column_stack([view.people, view.people_velocity])
+        people = _nearest(people, np.hypot(*(view.people - point).T), self.config.neighbors)
+        walls = _nearest(self._boxes, geometry.point_box_distance(point, self._boxes), self.config.walls)
+        position, velocity = np.vstack([point, people[:, :2]]), np.vstack([velocity, people[:, 2:]])
+        chosen = _choose(self.config, self.radius, robot, position, velocity, yaw, self._waypoint(point), walls)
+        forward, aside = geometry.to_body(np.asarray(chosen, float), yaw)
+        return np.clip([forward / robot.max_speed, aside / self.config.ahead / robot.max_yaw_rate], -1.0, 1.0)
+
+    def _waypoint(self, point):
+        """Where (2,) to go from `point` (2,): the farthest corner of the path that is in sight."""
+        path = self._path
+        while path is not None and len(path) > 1 and self._grid.lines_are_free(point, path[1]):
+            path = path[1:]
+        lost = path is None or not self._grid.lines_are_free(point, path[0])
+        if lost and (path is None or self._planned >= self.config.replan):
+            path, self._planned = self._plan(point), 0
+        self._planned += 1
+        self._path = path
+        return path[0]
+
+    def _plan(self, point):
+        """The corners (N, 2) of a shortest path from `point` (2,) to the goal; the goal alone where there is none."""
+        grid, goal = self._grid, self._view.goal
+        try:
+            path = plan("astar", grid, grid.nearest_free(point), grid.nearest_free(goal))
+        except NoPath:
+            return goal[None]
+        return np.concatenate([shortcut(path, grid)[1:-1], goal[None]])
+
+
+def _nearest(rows, distance, count):
+    """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with zeros at places out of reach."""
+    nearest = rows[np.argsort(distance, kind="stable")[:count]]
+    missing = np.zeros((count - len(nearest), rows.shape[1]))
+    missing[:, :2] = parking_place(np.arange(len(missing)))
+    return np.vstack([nearest, missing])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+def _choose(config, radius, robot, position, velocity, yaw, waypoint, boxes):
+    """The velocity (2,) [m/s] of the point, which is row 0 of `position` and `velocity` (1 + neighbors, 2)."""
+    people = ORCA(
+        PERIOD,
+        preferred_speed=config.preferred_speed,
+        radius=(radius + RADIUS) / 2,  # of both, as ORCA knows one radius only
+        margin=config.margin / 2,
+        max_neighbors=config.neighbors,
+        horizon=config.horizon,
+    )
+    walls = ORCA(
+        PERIOD,
+        max_speed=robot.max_speed,
+        radius=radius,
+        margin=config.margin,
+        max_obstacles=config.walls,
+        obstacle_horizon=config.wall_horizon,
+    )
+    normal, offset = people.neighbor_half_planes(position, velocity)
+    normal, half = normal[0], offset[0]
+    now = normal @ velocity[0]
+    offset = now + 2.0 * config.responsibility * (half - now)  # half an avoidance is the pedestrians' share
+    wall_normal, wall_offset = walls.obstacle_half_planes(position[:1], velocity[:1], boxes)
+    ahead = geometry.heading(yaw)
+    left = left_of(ahead)
+    aside = config.ahead * robot.max_yaw_rate
+    normal = jnp.concatenate([wall_normal[0], jnp.stack([ahead, left, -left]), normal])
+    own = -jnp.asarray([config.max_back_speed, aside, aside])
+    offset = jnp.concatenate([wall_offset[0], own, offset])
+    target = people.preferred_velocity(position[:1], waypoint[None])
+    return best_velocity(normal[None], offset[None], config.walls + 3, target, robot.max_speed)[0]
+
+
+def occupied_boxes(grid):
+    """Rectangles (N, 5), as in `macid.geometry`, that cover the occupied cells of `grid`, and the map's edge.
+
+    Cells that lie in a row are one, and equal rows above each other.
+    """
+    rows, columns = grid.shape
+    padded = np.pad(grid.occupied, 1, constant_values=True)
+    done = np.zeros_like(padded)
+    boxes = []
+    for i, j in np.argwhere(padded):
+        if done[i, j]:
+            continue
+        run = padded[i, j:] & ~done[i, j:]
+        to_j = j + (len(run) if run.all() else int(run.argmin()))
+        to_i = i + 1
+        while to_i < len(padded) and (padded[to_i, j:to_j] & ~done[to_i, j:to_j]).all():
+            to_i += 1
+        done[i:to_i, j:to_j] = True
+        corners = grid.unscaled(np.array([[j, i], [to_j, to_i]]) - 1.0)
+        boxes.append([*corners.mean(axis=0), *(np.diff(corners, axis=0)[0] / 2), 0.0])
+    return np.array(boxes)

@@ -1,0 +1,76 @@
+"""One call for every planner, and one that takes the detours out of a path."""
+
+import numpy as np
+
+from bson.planners.grid import NoPath, cost_rate, line_costs
+from bson.planners.search import AStarConfig, DijkstraConfig, astar, dijkstra
+from bson.planners.trees import CarrtStar, CarrtStarConfig, Rrt, RrtConfig, RrtStar, RrtStarConfig
+
+
+def _tree(kind):
+    return lambda grid, rate, start, goal, rng, config: kind(grid, rate, start, goal, rng, config).path()
+
+
+_PLANNERS = {
+    "dijkstra": (dijkstra, DijkstraConfig),
+    "astar": (astar, AStarConfig),
+    "rrt": (_tree(Rrt), RrtConfig),
+    "rrt-star": (_tree(RrtStar), RrtStarConfig),
+    "carrt-star": (_tree(CarrtStar), CarrtStarConfig),
+}
+PLANNERS = tuple(_PLANNERS)
+
+
+def plan(name, grid, start, goal, cost=None, rng=None, config=None):
+    """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
+
+    name: one of PLANNERS. cost: (rows, columns), at least 0, as of `social_cost`. rng: what the trees draw from, a
+    numpy Generator or a seed; None: seed 0. config: the planner's own (AStarConfig, ...); None: its defaults.
+    Raises NoPath where there is none or none was found, and ValueError where start or goal is off the map or in an
+    obstacle (`Grid.nearest_free` helps) and for what is no planner, cost map or config.
+    """
+    if name not in _PLANNERS:
+        raise ValueError(f"Unknown planner {name!r}. Choose one of {', '.join(PLANNERS)}.")
+    planner, kind = _PLANNERS[name]
+    config = kind() if config is None else config
+    if type(config) is not kind:
+        raise ValueError(f"Planner '{name}' is configured by a {kind.__name__}, not {config!r}.")
+    rate = cost_rate(grid, cost)
+    ends, regions = [], []
+    for what, point in (("start", start), ("goal", goal)):
+        point = np.asarray(point, dtype=float)
+        if point.shape != (2,) or not np.isfinite(point).all():
+            raise ValueError(f"The {what} must be two finite numbers [m], not {point.tolist()}.")
+        row, column = grid.cells(point)
+        if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+            raise ValueError(f"The {what} {np.round(point, 2).tolist()} is off the map.")
+        if not grid.free(point):
+            raise ValueError(f"The {what} {np.round(point, 2).tolist()} is in an obstacle or touches one.")
+        ends.append(point)
+        regions.append(grid.regions[row, column])
+    if regions[0] != regions[1]:
+        places = " to ".join(str(np.round(point, 2).tolist()) for point in ends)
+        raise NoPath(f"There is no way from {places}.")
+    scaled = grid.scaled(ends)
+    rng = np.random.default_rng(0 if rng is None else rng)
+    path = grid.unscaled(planner(grid, rate, *scaled, rng, config))
+    path[0], path[-1] = ends  # without the rounding
+    return path
+
+
+def shortcut(path, grid, cost=None):
+    """`path` (N, 2) [m] with straight lines for its detours: from each point on to the farthest one that can be reached
+    straight, without touching an occupied cell and at no higher cost. Returns (M, 2), M <= N, cost as in `plan`.
+
+    Raises ValueError where the path itself is blocked.
+    """
+    points, rate = grid.scaled(path), cost_rate(grid, cost)
+    along = np.concatenate([[0.0], line_costs(grid, rate, points[:-1], points[1:]).cumsum()])
+    if not np.isfinite(along[-1]):
+        raise ValueError("The path to shorten touches an occupied cell or leaves the map.")
+    kept = [0]
+    while kept[-1] < len(points) - 1:
+        here = kept[-1]
+        straight = line_costs(grid, rate, points[here], points[here + 1 :])
+        kept.append(here + 1 + int(np.flatnonzero(straight <= along[here + 1 :] - along[here] + 1e-9)[-1]))
+    return np.asarray(path, dtype=float)[kept]

@@ -1,0 +1,70 @@
+"""A follower of paths: pure pursuit."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PurePursuit:
+    """Follows a path by pure pursuit (Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992).
+
+    The robot steers on the arc, of curvature 2 y / d^2, to a point of the path `lookahead` farther along than the point
+    that is nearest to it. It has no memory: of a path that comes back to itself, it may skip the loop.
+    """
+
+    lookahead: float = 0.8  # along the path [m]
+    max_speed: float = 1.5  # [m/s]
+    max_yaw_rate: float = 2.0  # [rad/s]
+    max_lateral_acceleration: float = 2.0  # slows down in curves [m/s2]
+    slow_distance: float = 1.0  # to the end, from which on the speed falls in proportion [m]
+    min_speed: float = 0.15  # that it falls to [m/s]
+    tolerance: float = 0.1  # to the end: closer is there [m]
+    turn_angle: float = 0.8  # farther than this off the way ahead it turns on the spot [rad]
+    turn_time: float = 0.3  # time constant of such a turn [s]
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            if not value > 0:
+                raise ValueError(f"{name} must be positive, not {value!r}.")
+
+    def __call__(self, pose, path):
+        """The command (v [m/s], w [rad/s]) at `pose` (3,) (x, y, yaw) for `path` (N, 2); (0, 0) at its end.
+
+        Both are in the world frame [m, rad].
+        """
+        x, y, yaw = (float(value) for value in pose)
+        path = np.asarray(path, dtype=float).reshape(-1, 2)
+        target, left = self._target(np.array([x, y]), path)
+        if left <= self.tolerance:
+            return 0.0, 0.0
+        dx, dy = target[0] - x, target[1] - y
+        ahead, side = math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
+        bearing, distance = math.atan2(side, ahead), math.hypot(dx, dy)
+        if abs(bearing) > self.turn_angle:
+            return 0.0, math.copysign(min(abs(bearing) / self.turn_time, self.max_yaw_rate), bearing)
+        curvature = 2.0 * side / distance**2
+        bend = max(abs(curvature), 1e-9)
+        speed = min(
+            self.max_speed,
+            max(self.min_speed, self.max_speed * left / self.slow_distance),
+            self.max_yaw_rate / bend,
+            math.sqrt(self.max_lateral_acceleration / bend),
+        )
+        return speed, speed * curvature
+
+    def _target(self, place, path):
+        """The point (2,) of `path` to steer to from `place` (2,), and how far it is to the path's end [m]."""
+        if len(path) == 1:
+            return path[0], math.dist(place, path[0])
+        legs = np.diff(path, axis=0)
+        squared = (legs**2).sum(axis=-1)
+        part = np.clip(((place - path[:-1]) * legs).sum(axis=-1) / np.maximum(squared, 1e-12), 0.0, 1.0)
+        off = np.hypot(*(path[:-1] + part[:, None] * legs - place).T)
+        nearest = int(off.argmin())
+        ends = np.concatenate([[0.0], np.sqrt(squared).cumsum()])
+        along = ends[nearest] + part[nearest] * (ends[nearest + 1] - ends[nearest])
+        reach = along + self.lookahead
+        target = np.array([np.interp(reach, ends, path[:, 0]), np.interp(reach, ends, path[:, 1])])
+        return target, float(ends[-1] - along + off[nearest])

@@ -1,0 +1,214 @@
+"""Trees that grow through the free space of an occupancy grid: RRT, RRT* and CARRT*."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bson.planners.grid import NoPath, line_costs
+
+
+@dataclass(frozen=True)
+class RrtConfig:
+    """RRT: at most `samples` samples, the goal itself with probability `goal_bias` until it is reached."""
+
+    samples: int = 10000
+    step: float = 2.0  # the longest extension, and from how far the goal is reached [m]
+    goal_bias: float = 0.05
+
+    def __post_init__(self):
+        if not self.samples >= 1:
+            raise ValueError(f"samples must be at least 1, not {self.samples!r}.")
+        if not 0 < self.step < np.inf:
+            raise ValueError(f"step must be positive, not {self.step!r}.")
+        if not 0 <= self.goal_bias <= 1:
+            raise ValueError(f"goal_bias must be between 0 and 1, not {self.goal_bias!r}.")
+
+
+@dataclass(frozen=True)
+class RrtStarConfig(RrtConfig):
+    """RRT*: a path that was found is improved until `enough` samples were drawn; more never make it worse.
+
+    Among n nodes, neighbours are within `radius_factor` times Karaman and Frazzoli's least radius for optimality,
+    `(6 A / pi)^(1/2) (log n / n)^(1/2)` on a free area A, and at most within `max_radius` [m].
+    """
+
+    enough: int = 1500
+    radius_factor: float = 1.0
+    max_radius: float = 4.0
+
+
+@dataclass(frozen=True)
+class CarrtStarConfig(RrtStarConfig):
+    """CARRT*: RRT* whose extensions (turn from the sample's direction, length) are drawn from a Gaussian, refitted
+    `iterations` times to the `elites` best of `candidates`.
+
+    The best have the least accumulated cost plus `distance_weight` times the distance that is left to the sample.
+    """
+
+    candidates: int = 12
+    elites: int = 4
+    iterations: int = 2
+    turn: float = 0.6  # first standard deviation of the turn [rad]
+    least_length: float = 0.5  # of an extension, as a share of the straight one: near people the shortest is cheapest
+    distance_weight: float = 2.0  # above 1: what is left will cost something too
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not 1 <= self.elites <= self.candidates:
+            raise ValueError(f"elites must be between 1 and candidates, {self.candidates}, not {self.elites!r}.")
+
+
+def _polar(angles, lengths):
+    """Vectors (M, 2) of `lengths` (M,) or () in the directions `angles` (M,) [rad]."""
+    return np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], axis=-1)
+
+
+class Rrt:
+    """A tree of free, straight edges that grows from the start. Points and lengths in cells."""
+
+    def __init__(self, grid, rate, start, goal, rng, config):
+        self.grid, self.rate, self.goal, self.rng, self.config = grid, rate, goal, rng, config
+        self.step = config.step / grid.resolution
+        row, column = np.floor(start[::-1]).astype(int)
+        self.free = np.argwhere(grid.regions == grid.regions[row, column])[:, ::-1]  # corners of reachable cells
+        self.points = np.empty((config.samples + 1, 2))
+        self.costs = np.zeros(config.samples + 1)
+        self.parents, self.children, self.at_goal = [], [], []
+        self.add(start, None, 0.0)
+
+    def path(self):
+        """The cheapest path (N, 2) found. Raises NoPath."""
+        for drawn in range(self.config.samples):
+            if self.at_goal and drawn >= self.enough():
+                break
+            sample = self.sample()
+            nearest = int(self.squared_distances(sample).argmin())
+            grown = self.extend(nearest, sample)
+            if grown is not None:
+                self.join(nearest, *grown)
+        if not self.at_goal:
+            raise NoPath(f"No path was found within {self.config.samples} samples.")
+        _, node = min((self.costs[node] + cost, node) for node, cost in self.at_goal)
+        nodes = []
+        while node is not None:
+            nodes.append(node)
+            node = self.parents[node]
+        return np.concatenate([self.points[nodes[::-1]], self.goal[None]])
+
+    def enough(self):
+        """How many samples to draw even where a path was found."""
+        return 0
+
+    def sample(self):
+        """A point (2,) of the free space that the start is in, or the goal."""
+        bias, which, *offset = self.rng.random(4)
+        if not self.at_goal and bias < self.config.goal_bias:
+            return self.goal
+        return self.free[int(which * len(self.free))] + offset
+
+    def squared_distances(self, point):
+        """From each node (n,) to `point` (2,)."""
+        offset = self.points[: len(self.parents)] - point
+        return np.einsum("ni,ni->n", offset, offset)
+
+    def line_costs(self, start, ends):
+        return line_costs(self.grid, self.rate, start, ends)
+
+    def straight(self, nearest, sample):
+        """Direction [rad] and length of the straight extension from node `nearest` towards `sample` (2,)."""
+        x, y = sample - self.points[nearest]
+        return math.atan2(y, x), min(self.step, math.hypot(x, y))
+
+    def extend(self, nearest, sample):
+        """The end (2,) and the cost of an edge from node `nearest` towards `sample` (2,); None: it is blocked."""
+        angle, length = self.straight(nearest, sample)
+        end = self.points[nearest] + _polar(np.array([angle]), length)
+        cost = self.line_costs(self.points[nearest], end)[0]
+        return (end[0], cost) if 0 < cost < np.inf else None
+
+    def join(self, nearest, point, cost):
+        """Adds the node `point` (2,) to which an edge of `cost` leads from node `nearest`."""
+        self.add(point, nearest, cost)
+
+    def add(self, point, parent, cost):
+        node = len(self.parents)
+        self.points[node] = point
+        self.parents.append(parent)
+        self.children.append([])
+        if parent is not None:
+            self.costs[node] = self.costs[parent] + cost
+            self.children[parent].append(node)
+        if math.dist(point, self.goal) <= self.step:
+            cost = self.line_costs(point, self.goal[None])[0]
+            if cost < np.inf:
+                self.at_goal.append((node, cost))
+        return node
+
+
+class RrtStar(Rrt):
+    """RRT, but a new node takes the parent that makes it cheapest, and becomes the parent of whom it makes cheaper."""
+
+    def enough(self):
+        return self.config.enough
+
+    def join(self, nearest, point, cost):
+        is_near = self.squared_distances(point) <= self.radius() ** 2
+        is_near[nearest] = True
+        near = np.flatnonzero(is_near)
+        costs = self.line_costs(point, self.points[near])  # the same in both directions
+        costs[near == nearest] = cost  # where rounding says that it touches something on the way back
+        through = self.costs[near] + costs
+        best = int(through.argmin())
+        node = self.add(point, int(near[best]), costs[best])
+        cheaper = self.costs[node] + costs < self.costs[near] - 1e-9
+        for other, edge in zip(near[cheaper].tolist(), costs[cheaper], strict=True):
+            self.children[self.parents[other]].remove(other)
+            self.parents[other] = node
+            self.children[node].append(other)
+            self.lower(other, self.costs[node] + edge - self.costs[other])
+
+    def radius(self):
+        """Karaman and Frazzoli's, for the nodes that there are, in cells."""
+        count, config = len(self.parents) + 1, self.config
+        least = math.sqrt(6.0 * len(self.free) / math.pi * math.log(count) / count)
+        return min(config.radius_factor * least, config.max_radius / self.grid.resolution)
+
+    def lower(self, node, change):
+        """Adds `change` to the costs of `node` and all behind it."""
+        behind = [node]
+        for one in behind:
+            behind += self.children[one]
+        self.costs[behind] += change
+
+
+class CarrtStar(RrtStar):
+    """RRT*, but the cross-entropy method chooses each extension."""
+
+    def __init__(self, grid, rate, start, goal, rng, config):
+        self.noise = rng.spawn(1)[0]  # leaves the samples as RRT*'s
+        super().__init__(grid, rate, start, goal, rng, config)
+
+    def extend(self, nearest, sample):
+        config, start = self.config, self.points[nearest]
+        angle, length = self.straight(nearest, sample)
+        if length == 0:
+            return None
+        mean, spread = np.array([0.0, length]), np.array([config.turn, length / 4])
+        best = np.inf, None, np.inf
+        for _ in range(config.iterations + 1):
+            turns, lengths = (mean + spread * self.noise.standard_normal((config.candidates, 2))).T
+            turns[0], lengths[0] = mean  # the straight one first, so that no extension is worse than RRT*'s
+            lengths = np.clip(lengths, config.least_length * length, length)
+            ends = start + _polar(angle + turns, lengths)
+            costs = self.line_costs(start, ends)
+            scores = costs + config.distance_weight * np.hypot(*(ends - sample).T)
+            order = scores.argsort(kind="stable")[: config.elites]
+            order = order[scores[order] < np.inf]
+            if not len(order):
+                continue
+            if scores[order[0]] < best[0]:
+                best = scores[order[0]], ends[order[0]], costs[order[0]]
+            elites = np.stack([turns[order], lengths[order]], axis=-1)
+            mean, spread = elites.mean(axis=0), elites.std(axis=0)
+        return best[1:] if best[0] < np.inf else None

@@ -1,0 +1,167 @@
+"""Table III of the paper, beside its figures, and how far robots carry over: trains and evaluates what is missing.
+
+    tools/reproduce_table3.py --out table3
+
+Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over.md (robots trained among one kind of
+pedestrian, tested among each) and lcf.md (the score by the LCF of everybody). Robots are trained to OUT/runs; each
+evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are means over seeds and episodes;
+intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
+"""
+
+import argparse
+import hashlib
+import json
+import pathlib
+import sys
+
+import numpy as np
+from tqdm import tqdm
+
+from bson.agents import load_agent
+from bson.evaluate import run_episodes
+from bson.learning.train import ALGORITHMS, TrainConfig, train
+from bson.metrics import measure, summarise
+from bson.suites import load_suite
+from bson.tracks import make_track
+from macid.evaluate import lcf_bins
+from macid.files import output_folder, run_command, write_bytes, write_json
+
+PARTS = ("SNS", "RC", "Coll", "SP", "PE")
+PAPER = {
+    "ppo": (50.08, 0.995, 12.95, 0.603, 0.912),
+    "sac": (56.57, 0.965, 12.83, 0.657, 0.925),
+    "tac": (65.14, 0.993, 8.47, 0.837, 0.942),
+    "bc": (48.85, 0.992, 16.32, 0.569, 0.901),
+}
+CROWDS = ("social-force", "orca", "ipo", "macid")  # of the carry-over table
+SCRIPTED = ("goal", "vfh", "dwa")
+
+
+def wanted(algo, crowd, seed, steps, runs):
+    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed."""
+    config = TrainConfig(algo, seed, steps, {} if crowd == "macid" else {"pedestrian_model": crowd})
+    if algo != "bc":
+        return config
+    expert = wanted("ppo", crowd, seed, steps, runs)
+    return TrainConfig(
+        algo, seed, steps, config.task,
+        hyperparameters=type(ALGORITHMS["bc"])(expert=str(runs / f"{expert.name}-{seed}" / "policy.npz")),
+    )  # fmt: skip
+
+
+def robot(config, runs):
+    """The policy file of a training, which is done first if it is missing."""
+    file = runs / f"{config.name}-{config.seed}" / "policy.npz"
+    done = file.exists() and json.loads(file.with_suffix(".json").read_text())["steps_done"] >= config.steps
+    if not done:
+        with tqdm(total=config.steps, unit="step", unit_scale=True, desc=f"{config.name}-{config.seed}") as bar:
+
+            def show(steps, figures, validation=False):
+                bar.n = min(steps, config.steps)
+                bar.set_postfix_str("  ".join(f"{name} {value:.3g}" for name, value in figures.items()))
+
+            train(config, runs, resume=True, show=show)
+    return file
+
+
+def scored(rows, agent, suite, **changes):
+    """Metrics of each of the suite's episodes with the task's fields `changes`; from the folder `rows` if they are there."""
+    (cell,) = suite.cells
+    config = cell.config.replace(**changes)
+    file = pathlib.Path(agent)
+    weights = file.read_bytes() if file.suffix == ".npz" else agent.encode()
+    key = repr((hashlib.sha256(weights).hexdigest(), suite.digest, sorted(changes.items())))
+    path = rows / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
+    if path.exists():
+        return json.loads(path.read_text())["episodes"]
+    make_agent = load_agent(agent)
+    print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
+    track = make_track(make_agent.track, make_agent.sensor)
+    episodes = run_episodes(make_agent, config, track, list(suite.seeds), agent)
+    measured = [{name: measure(episode)[name] for name in (*PARTS, "success")} for episode in episodes]
+    write_json(path, {"agent": agent, "changes": {k: str(v) for k, v in changes.items()}, "episodes": measured})
+    return measured
+
+
+def over_seeds(by_seed):
+    """Episodes' metrics, each the mean over the seeds of a training: [{metric: mean}, ...]."""
+    return [
+        {name: float(np.mean([row[name] for row in rows])) for name in rows[0]} for rows in zip(*by_seed, strict=True)
+    ]
+
+
+def cells(measured, names=PARTS):
+    """A Markdown row's cells: means, the SNS with its interval."""
+    found = summarise(measured)
+    text = []
+    for name in names:
+        digits = 1 if name in ("SNS", "Coll") else 3
+        mean = f"{found[name]['mean']:.{digits}f}"
+        text.append(f"{mean} [{found[name]['low']:.1f}, {found[name]['high']:.1f}]" if digits == 1 else mean)
+    return " | ".join(text)
+
+
+def run(args):
+    """Makes the tables; returns the exit code."""
+    out = output_folder(args.out)
+    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
+    suite, seeds, steps = load_suite("paper"), range(args.seeds), int(args.steps)
+
+    def robots(algo, crowd="macid"):
+        return [robot(wanted(algo, crowd, seed, steps, runs), runs) for seed in seeds]
+
+    def write(name, lines):
+        write_bytes(out / name, ("\n".join(lines) + "\n").encode())
+        print("\n".join(["", f"{out / name}:", *lines]))
+
+    trained = {algo: robots(algo) for algo in args.algos}
+    agents = {**trained, **{name: [name] for name in SCRIPTED}}
+    table = ["| agent | " + " | ".join(PARTS) + " |", "|---" * (1 + len(PARTS)) + "|"]
+    for name, files in agents.items():
+        measured = over_seeds([scored(rows, str(file), suite) for file in files])
+        note = f" ({len(files)} seeds)" if name in trained else ""
+        table.append(f"| {name}{note} | {cells(measured)} |")
+        if len(files) > 1:
+            means = [np.mean([row["SNS"] for row in scored(rows, str(file), suite)]) for file in files]
+            table.append(f"| *of its seeds, SNS* | {', '.join(f'{mean:.1f}' for mean in means)} |" + " |" * 4)
+        if name in PAPER:
+            table.append("| *paper* | " + " | ".join(map(str, PAPER[name])) + " |")
+    write("table3.md", table)
+
+    bins = lcf_bins("macid")
+    table = ["| agent | " + " | ".join(f"({low:.2f}, {high:.2f})" for low, high in bins) + " |"]
+    table.append("|---" * (1 + len(bins)) + "|")
+    for name, files in agents.items():
+        by_bin = [over_seeds([scored(rows, str(file), suite, lcf=lcf) for file in files]) for lcf in bins]
+        table.append(f"| {name} | " + " | ".join(cells(measured, ("SNS",)) for measured in by_bin) + " |")
+    write("lcf.md", table)
+
+    for metric in ("SNS", "Coll"):
+        table = [f"| {metric}: trained among | " + " | ".join(CROWDS) + " |", "|---" * (1 + len(CROWDS)) + "|"]
+        for crowd in CROWDS:
+            files = robots(args.carry, crowd)
+            tested = [
+                over_seeds([scored(rows, str(file), suite, pedestrian_model=among) for file in files])
+                for among in CROWDS
+            ]
+            table.append(f"| {crowd} | " + " | ".join(cells(measured, (metric,)) for measured in tested) + " |")
+        write(f"carry-over-{metric}.md", table)
+    return 0
+
+
+def main():
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--algos", nargs="+", default=list(ALGORITHMS), choices=list(ALGORITHMS))
+    parser.add_argument(
+        "--carry", default="ppo", choices=list(ALGORITHMS), help="the algorithm of the carry-over table"
+    )
+    parser.add_argument("--seeds", type=int, default=3, help="of each training (default 3)")
+    parser.add_argument("--steps", type=float, default=1e6, help="of each training (default 1e6)")
+    parser.add_argument("--out", default="table3")
+    args = parser.parse_args()
+    return run_command("reproduce_table3", lambda: run(args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
