@@ -3,9 +3,6 @@
 import dataclasses
 import itertools
 import math
-import platform
-import sys
-from importlib import metadata
 
 import numpy as np
 
@@ -13,6 +10,7 @@ from bson.agents import act
 from bson.metrics import METRICS, measure, summarise
 from bson.session import Recorder, Session
 from bson.world import World
+from macid import files
 
 BATCH = 16  # worlds at once
 
@@ -166,12 +164,7 @@ def _summary(measured):
 
 def versions():
     """What the results were made with."""
-    packages = ("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
-    return {
-        **{name: metadata.version(name) for name in packages},
-        "python": platform.python_version(),
-        "os": sys.platform,
-    }
+    return files.versions("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
 
 
 def format_summary(content):

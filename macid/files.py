@@ -3,8 +3,10 @@
 import json
 import os
 import pathlib
+import platform
 import sys
 import tempfile
+from importlib import metadata
 
 
 class UsageError(ValueError):
@@ -40,6 +42,17 @@ def write_bytes(path, content):
 def write_json(path, content):
     """`content` as JSON to the file `path`, all or nothing."""
     write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def versions(*packages):
+    """What results were made with: {name: version} of those `packages` that are installed, Python, and the system."""
+    found = {}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:  # a checkout on the path
+            continue
+    return {**found, "python": platform.python_version(), "os": sys.platform}
 
 
 def run_command(program, main):

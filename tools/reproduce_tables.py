@@ -93,6 +93,17 @@ def evaluated(rows, file, level, lcf, episodes):
     return row
 
 
+def note_scores(files, rows_by_seed):
+    """Writes into the json of each of the policy `files` its scores on the levels."""
+    for file, rows in zip(files, rows_by_seed, strict=True):
+        scores = {
+            f"Lv.{level}": {c: row[c] for c in (*COLUMNS, *WALKING)} for level, row in zip(LEVELS, rows, strict=True)
+        }
+        recipe = json.loads(file.with_suffix(".json").read_text())
+        if recipe.get("scores") != scores:
+            write_json(file.with_suffix(".json"), {**recipe, "scores": scores})
+
+
 def over_seeds(rows_by_seed, columns=COLUMNS):
     """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None of one."""
     values = np.array(
@@ -178,6 +189,8 @@ def run(args):
         if name in PAPER_TABLE_2:
             table.append(line("*paper*", PAPER_TABLE_2[name]))
         curves[name] = np.mean([[row["SR"] for row in levels] for levels in seeds], axis=0)
+        if args.note_scores and name in policies:
+            note_scores(files, seeds)
     write("table2.md", table)
     write("walking.md", walking)
     lines = ["model,level,n,SR_n"]
@@ -192,7 +205,10 @@ def run(args):
     for config in sorted(compared, key=lambda config: config.period):
         if files := policies.get(config.name):
             name = f"{config.period:g} s, {label(config.method, files)}"
-            table.append(line(name, *over_seeds(tabled(config.name, files))))
+            seeds = tabled(config.name, files)
+            table.append(line(name, *over_seeds(seeds)))
+            if args.note_scores:
+                note_scores(files, seeds)
     write("periods.md", table)
 
     sections = []
@@ -228,6 +244,7 @@ def main():
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
     parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
+    parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
     parser.add_argument("--out", default="tables")
     args = parser.parse_args()
     return run_command("reproduce_tables", lambda: run(args))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import geometry, physics, scene
-from macid.files import output_folder, write_bytes, write_json
+from macid.files import output_folder, versions, write_bytes, write_json
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
@@ -363,6 +363,7 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
         }
         if state.meta is not None:
             recipe["lcf_mean"], recipe["lcf_std"] = map(float, copo.moments(state.meta.distribution))
+        recipe["versions"] = versions("bson-macid", "mujoco", "mujoco-mjx", "jax", "optax", "numpy")
         recipe["curve"] = [{name: round(value, 4) for name, value in row.items()} for row in thin(curve, 60)]
         policies.append(trainer.policy(state, recipe))
         policies[-1].save(folder / "policy")
