@@ -97,7 +97,8 @@ def note_scores(files, rows_by_seed):
     """Writes into the json of each of the policy `files` its scores on the levels."""
     for file, rows in zip(files, rows_by_seed, strict=True):
         scores = {
-            f"Lv.{level}": {c: row[c] for c in (*COLUMNS, *WALKING)} for level, row in zip(LEVELS, rows, strict=True)
+            f"Lv.{level}": {c: row[c] and round(row[c], 3) for c in (*COLUMNS, *WALKING)}
+            for level, row in zip(LEVELS, rows, strict=True)
         }
         recipe = json.loads(file.with_suffix(".json").read_text())
         if recipe.get("scores") != scores:
