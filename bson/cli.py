@@ -255,22 +255,12 @@ def _render(args):
 
 def _train(args):
     try:
-        from bson.learning.train import TrainConfig, train
+        from bson.learning.train import TrainConfig, train_with_bar
     except ModuleNotFoundError as error:
         raise UsageError(f"Training needs {error.name}: pip install 'bson-macid[agents]'.") from None
-    from tqdm import tqdm
 
     config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
-    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr) as bar:
-
-        def show(steps, figures, validation=False):
-            bar.n = min(steps, config.steps)
-            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
-            if validation:
-                bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
-            bar.set_postfix_str(text, refresh=True)
-
-        folder = train(config, args.out, args.resume, show)
+    folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
     )

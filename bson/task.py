@@ -216,8 +216,8 @@ def spawn(config: TaskConfig, rng) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
     The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and head
-    for one of its ends, from a region for the far one. Raises
-    macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
+    for one of its ends, from a region for the far one. Raises macid.layout.NoFreeSpace where the map has no room, or no
+    way from a start to a goal.
     """
     if config.map is None:
         layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)

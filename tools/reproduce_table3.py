@@ -15,11 +15,10 @@ import pathlib
 import sys
 
 import numpy as np
-from tqdm import tqdm
 
 from bson.agents import load_agent
 from bson.evaluate import run_episodes
-from bson.learning.train import ALGORITHMS, TrainConfig, train
+from bson.learning.train import ALGORITHMS, TrainConfig, train_with_bar
 from bson.metrics import measure, summarise
 from bson.suites import load_suite
 from bson.tracks import make_track
@@ -54,13 +53,7 @@ def robot(config, runs):
     file = runs / f"{config.name}-{config.seed}" / "policy.npz"
     done = file.exists() and json.loads(file.with_suffix(".json").read_text())["steps_done"] >= config.steps
     if not done:
-        with tqdm(total=config.steps, unit="step", unit_scale=True, desc=f"{config.name}-{config.seed}") as bar:
-
-            def show(steps, figures, validation=False):
-                bar.n = min(steps, config.steps)
-                bar.set_postfix_str("  ".join(f"{name} {value:.3g}" for name, value in figures.items()))
-
-            train(config, runs, resume=True, show=show)
+        train_with_bar(config, runs, resume=True)
     return file
 
 

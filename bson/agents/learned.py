@@ -1,7 +1,7 @@
 """Agents that were trained: an MLP on `bson.features`, run by NumPy alone.
 
-`save` and `load` keep one as NAME.npz (weights, no pickle) with NAME.json (how it was made, how it scores) beside it;
-those that are shipped lie in assets/agents.
+One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it scores, and
+"output": "clip" or "tanh"). Those that are shipped lie in assets/agents.
 """
 
 import pathlib
@@ -10,7 +10,7 @@ import numpy as np
 
 from bson.features import Features
 from macid import assets
-from macid.policy import read_network, write_network
+from macid.policy import read_network
 
 _OUTPUTS = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
@@ -45,11 +45,6 @@ class Learned:
             x = np.maximum(x @ weight + bias, 0.0)
         weight, bias = self._layers[-1]
         return self._output(x @ weight + bias)
-
-
-def save(path, layers, recipe):
-    """Writes `path`.npz and `path`.json, each all or nothing; recipe["output"] is "clip" or "tanh"."""
-    write_network(path, layers, recipe)
 
 
 def names():

@@ -84,7 +84,7 @@ class SacConfig:
         )
 
 
-def _linear_layers(module):
+def linear_layers(module):
     """[(weight (in, out), bias (out,)), ...] of a torch module's linear layers, in order, as NumPy float32."""
     linear = [layer for layer in module.modules() if isinstance(layer, torch.nn.Linear)]
     return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
@@ -94,5 +94,5 @@ def export(model):
     """The layers of a model's mean action, and how its output becomes an action: "clip" or "tanh"."""
     if isinstance(model, PPO):
         policy = model.policy
-        return _linear_layers(policy.mlp_extractor.policy_net) + _linear_layers(policy.action_net), "clip"
-    return _linear_layers(model.actor.latent_pi) + _linear_layers(model.actor.mu), "tanh"
+        return linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"
+    return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from bson.features import FEATURES, Features
+from bson.learning.algorithms import linear_layers
 from bson.metrics import sns
 from bson.session import Recorder, Session
 
@@ -88,4 +89,4 @@ def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
         with torch.no_grad():
             held_out = torch.nn.functional.mse_loss(network(x[:held]), action[:held]).item()
         show(epoch, total / batches, held_out)
-    return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
+    return linear_layers(network)

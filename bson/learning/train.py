@@ -1,15 +1,18 @@
 """Training a robot: PPO, SAC and TAC in worlds of the benchmark, or BC from an expert's episodes."""
 
 import dataclasses
+import functools
 import io
 import pathlib
 import pickle
+import sys
 import time
 
 import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
+from tqdm import tqdm
 
 from bson.agents import learned
 from bson.evaluate import run_episodes, versions
@@ -22,8 +25,10 @@ from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.files import output_folder, write_bytes, write_json
 from macid.learning.curves import plain, thin, write_curve
+from macid.policy import write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+_TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
 _VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
 _RECENT = 100  # ended episodes over which the curve's means go
 _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
@@ -50,9 +55,14 @@ class TrainConfig:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
-        TaskConfig().replace(**self.task)
+        self.setting  # raises what is wrong with the task
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", ALGORITHMS[self.algo])
+
+    @property
+    def setting(self):
+        """The TaskConfig of the worlds."""
+        return TaskConfig().replace(**self.task)
 
     @property
     def name(self):
@@ -87,9 +97,8 @@ class _Keeper:
     def validate(self, layers, output, steps):
         """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores."""
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
-        track = make_track(learned.Learned.track, learned.Learned.sensor)
-        task = TaskConfig().replace(**self.config.task)
-        episodes = run_episodes(lambda: learned.Learned(layers, output), task, track, seeds, self.config.name)
+        agent, config = functools.partial(learned.Learned, layers, output), self.config
+        episodes = run_episodes(agent, config.setting, _TRACK, seeds, config.name)
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
@@ -112,7 +121,7 @@ class _Keeper:
             "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(self.curve, 60)],
             "versions": versions(),
         }
-        learned.save(self.folder / "policy", best["layers"], recipe)
+        write_network(self.folder / "policy", best["layers"], recipe)
         if self.curve:
             write_curve(self.folder / "curve.csv", self.curve)
 
@@ -120,9 +129,9 @@ class _Keeper:
 class _Progress(BaseCallback):
     """Logs, validates and writes checkpoints between an algorithm's updates."""
 
-    def __init__(self, keeper, config, show, seconds_between_checkpoints):
+    def __init__(self, keeper, show, seconds_between_checkpoints):
         super().__init__()
-        self._keeper, self._config, self._show = keeper, config, show
+        self._keeper, self._show = keeper, show
         self._every, self._last_save, self._last_row = seconds_between_checkpoints, time.monotonic(), -np.inf
         self.recent = []
 
@@ -135,24 +144,24 @@ class _Progress(BaseCallback):
         now, steps, keeper = time.monotonic(), self.num_timesteps, self._keeper
         if now - self._last_save > self._every:
             self._last_save = now
-            save_checkpoint(self.model, keeper, self._config)
+            _save_checkpoint(self.model, keeper)
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
             means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
             keeper.curve.append({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
             self._show(steps, means)
-        if steps // self._config.validate_every > sum(1 for row in keeper.validations):
+        if steps // keeper.config.validate_every > len(keeper.validations):
             scores = keeper.validate(*export(self.model), steps)
             keeper.write(steps)
             self._show(steps, scores, validation=True)
 
 
-def save_checkpoint(model, keeper, config):
+def _save_checkpoint(model, keeper):
     """Writes all of a training but the worlds: networks, optimisers, replay buffer, counters, random numbers."""
     buffer = io.BytesIO()
     model.save(buffer)
     content = {
-        "config": config,
+        "config": keeper.config,
         "steps": model.num_timesteps,
         "model": buffer.getvalue(),
         "replay": getattr(model, "replay_buffer", None),
@@ -168,9 +177,9 @@ def _env(config, steps=0):
     return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
 
 
-def _load_checkpoint(path, keeper, config):
+def _load_checkpoint(path, keeper):
     """The model of a checkpoint; its keeper's state is restored. Raises ValueError if it is another configuration's."""
-    saved = pickle.loads(path.read_bytes())
+    saved, config = pickle.loads(path.read_bytes()), keeper.config
     if saved["config"] != config:
         raise ValueError(f"{path} is of another configuration: {saved['config']}. Use another --out.")
     keeper.restore(saved["keeper"])
@@ -193,31 +202,44 @@ def train(
     the running means of the curve. Raises ValueError if the checkpoint is another configuration's.
     """
     folder = output_folder(pathlib.Path(out) / f"{config.name}-{config.seed}")
-    write_json(folder / "config.json", plain(config))
     keeper = _Keeper(config, folder)
     if config.algo == "bc":
+        write_json(folder / "config.json", plain(config))
         return _train_bc(config, keeper, show)
     checkpoint = folder / "checkpoint.pkl"
     going_on = resume and checkpoint.exists()
     if going_on:
-        model = _load_checkpoint(checkpoint, keeper, config)
+        model = _load_checkpoint(checkpoint, keeper)
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
+    write_json(folder / "config.json", plain(config))  # not before a checkpoint of another one is refused
     left = config.steps - model.num_timesteps
-    progress = _Progress(keeper, config, show, seconds_between_checkpoints)
+    progress = _Progress(keeper, show, seconds_between_checkpoints)
     if left > 0:
         model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not going_on)
         scores = keeper.validate(*export(model), model.num_timesteps)
         show(model.num_timesteps, scores, validation=True)
-        save_checkpoint(model, keeper, config)
+        _save_checkpoint(model, keeper)
     keeper.write(model.num_timesteps)
     return folder
 
 
+def train_with_bar(config, out, resume=False):
+    """`train` with a progress bar on stderr, and a line for each validation."""
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr) as bar:
+
+        def show(steps, figures, validation=False):
+            bar.n = min(steps, config.steps)
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text, refresh=True)
+
+        return train(config, out, resume, show)
+
+
 def _train_bc(config, keeper, show):
-    hyperparameters, task = config.hyperparameters, TaskConfig().replace(**config.task)
-    track = make_track(learned.Learned.track, learned.Learned.sensor)
-    steps = 0
+    hyperparameters, steps = config.hyperparameters, 0
 
     def progress(more):
         nonlocal steps
@@ -227,7 +249,7 @@ def _train_bc(config, keeper, show):
 
     expert = learned.load(hyperparameters.expert)
     seed = 1_000_000 * (config.seed + 1)
-    episodes = demonstrate(expert, task, track, config.steps, seed, config.num_envs, progress)
+    episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
     x, action = select(episodes, hyperparameters.keep)
 
     def each(epoch, loss, held_out):

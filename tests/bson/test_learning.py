@@ -19,6 +19,7 @@ from bson.learning.imitation import BcConfig, clone, select
 from bson.learning.train import TrainConfig, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
+from macid.policy import write_network
 
 torch.set_num_threads(1)  # the networks are too small for more
 
@@ -103,7 +104,7 @@ def test_what_is_exported_acts_as_the_model_does(hyperparameters, tmp_path):
     env = FeatureVecEnv(2, seed=0, **TASK)
     model = hyperparameters.build(env, seed=0)
     layers, output = export(model)
-    learned.save(tmp_path / "policy", layers, {"output": output})
+    write_network(tmp_path / "policy", layers, {"output": output})
     x = np.random.default_rng(0).normal(0.0, 1.0, (50, FEATURES)).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
     assert learned.load(str(tmp_path / "policy.npz"))().act(x) == pytest.approx(expected, abs=1e-5)
@@ -194,7 +195,7 @@ def test_a_clone_does_what_the_better_episodes_did(tmp_path):
 def test_bc_learns_from_an_expert_file(tmp_path):
     env = FeatureVecEnv(1, seed=0, **TASK)
     layers, output = export(SMALL_PPO.build(env, seed=0))
-    learned.save(tmp_path / "expert", layers, {"output": output})
+    write_network(tmp_path / "expert", layers, {"output": output})
     hyperparameters = BcConfig(expert=str(tmp_path / "expert.npz"), hidden=(16,), epochs=2)
     folder = train(config("bc", hyperparameters, steps=100), tmp_path)
     assert json.loads((folder / "policy.json").read_text())["validation"]["SNS"] >= 0.0
