@@ -1,5 +1,6 @@
-"""How fast the benchmark steps, and how much of the time MuJoCo itself takes."""
+"""How fast the benchmark steps and robots learn in it, and how much of the time MuJoCo itself takes."""
 
+import dataclasses
 import os
 import platform
 import time
@@ -13,6 +14,7 @@ from bson.task import TaskConfig
 
 PEOPLE = (24, 50, 100, 200)
 BATCHES = (1, 16)
+LEARNERS = ("ppo", "sac", "tac")
 SENSORS = {"none": (), **tracks.SENSORS}
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 
@@ -70,7 +72,7 @@ def machine():
     return f"{model}, {os.cpu_count()} CPUs; mujoco {made_with['mujoco']}, jax {made_with['jax']}"
 
 
-def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, model="macid", show=print):
+def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0, model="macid", show=print):
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
     Raises ValueError for a sensor set that is not among SENSORS.
@@ -91,4 +93,86 @@ def run(people=PEOPLE, batches=BATCHES, sensors=tuple(SENSORS), seconds=2.0, mod
                     {"people": number, "worlds": nworld, "sensor": sensor, "steps_per_s": speed, "in_mujoco": share}
                 )
                 show(f"{number:>7}{nworld:>8}{sensor:>10}{speed:>17,.0f}{share:>10.0%}")
+    return rows
+
+
+def measure_learning(algo, config, nworld, seconds=20.0):
+    """Control steps/s of all worlds together while `algo` learns in them for about `seconds` [s] (whole rounds of
+    collecting and updating), and the shares of the wall time that its updates and MuJoCo take.
+
+    algo: one of LEARNERS; config: fields of TaskConfig, as a dict.
+    """
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from bson.learning.train import ALGORITHMS, one_thread
+    from bson.learning.vec_env import FeatureVecEnv
+
+    class Timer(BaseCallback):
+        """Times rounds after the first ones, in which things are compiled."""
+
+        def __init__(self):
+            super().__init__()
+            self.begin = self.elapsed = None
+            self.collecting = self.rounds = 0
+
+        def _on_rollout_start(self):
+            now = time.perf_counter()
+            self.rounds += 1
+            if self.begin is None and self.rounds > 2 and self.num_timesteps > 100 * nworld:
+                self.begin, self.first, self.collecting, watch.seconds = now, self.num_timesteps, 0.0, 0.0
+            elif self.begin is not None and now - self.begin >= seconds:
+                self.elapsed = now - self.begin
+            self._since = now
+
+        def _on_rollout_end(self):
+            self.collecting += time.perf_counter() - self._since
+
+        def _on_step(self):
+            if self.elapsed is None:
+                self.steps = self.num_timesteps
+            return self.elapsed is None
+
+    hyperparameters = ALGORITHMS[algo]
+    if hasattr(hyperparameters, "learning_starts"):
+        hyperparameters = dataclasses.replace(hyperparameters, learning_starts=nworld)
+    env = FeatureVecEnv(nworld, seed=0, **config)
+    watch = env.world.batch = _Stopwatch(env.world.batch)
+    timer = Timer()
+    with one_thread():
+        hyperparameters.build(env, seed=0).learn(10**12, callback=timer, log_interval=None)
+    return (
+        (timer.steps - timer.first) / timer.elapsed,
+        1.0 - timer.collecting / timer.elapsed,
+        watch.seconds / timer.elapsed,
+    )
+
+
+def run_learning(algos=LEARNERS, people=(24,), batches=(16,), seconds=20.0, model="macid", show=print):
+    """Prints the table of training speeds, a line a case as it is measured; returns its rows as dicts.
+
+    Raises ValueError for an algorithm that is not among LEARNERS.
+    """
+    for algo in algos:
+        if algo not in LEARNERS:
+            raise ValueError(f"Unknown algorithm {algo!r}. Choose among {', '.join(LEARNERS)}.")
+    show(machine())
+    show(f"training on 2D LIDAR; pedestrians: {model}; {seconds:g} s a case")
+    show(f"{'algorithm':>10}{'people':>8}{'worlds':>8}{'control steps/s':>17}{'in updates':>12}{'in MuJoCo':>11}")
+    rows = []
+    for algo in algos:
+        for number in people:
+            for nworld in batches:
+                config = {"num_pedestrians": number, "pedestrian_model": model}
+                speed, updating, share = measure_learning(algo, config, nworld, seconds)
+                rows.append(
+                    {
+                        "algo": algo,
+                        "people": number,
+                        "worlds": nworld,
+                        "steps_per_s": speed,
+                        "in_updates": updating,
+                        "in_mujoco": share,
+                    }
+                )
+                show(f"{algo:>10}{number:>8}{nworld:>8}{speed:>17,.0f}{updating:>12.0%}{share:>11.0%}")
     return rows

@@ -253,11 +253,18 @@ def _render(args):
     return 0
 
 
-def _train(args):
+@contextlib.contextmanager
+def _agents_extra():
+    """Tells what to install where the extra `agents` is missing."""
     try:
-        from bson.learning.train import TrainConfig, train_with_bar
+        yield
     except ModuleNotFoundError as error:
         raise UsageError(f"Training needs {error.name}: pip install 'bson-macid[agents]'.") from None
+
+
+def _train(args):
+    with _agents_extra():
+        from bson.learning.train import TrainConfig, train_with_bar
 
     config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
     folder = train_with_bar(config, args.out, args.resume)
@@ -272,9 +279,23 @@ def _bench(args):
     from macid.pedestrians import make_controller
 
     make_controller(args.pedestrian_model, 0.1)
-    if min(args.pedestrians) < 0 or min(args.worlds) < 1 or not 0 < args.seconds < 1e6:
+    given = {
+        "people": args.pedestrians,
+        "batches": args.worlds,
+        "seconds": args.seconds,
+        "sensors": args.sensors,
+        "algos": args.train or None,
+    }
+    given = {name: value for name, value in given.items() if value is not None}
+    if min(args.pedestrians or [0]) < 0 or min(args.worlds or [1]) < 1 or not 0 < (args.seconds or 1.0) < 1e6:
         raise UsageError("--pedestrians must be at least 0, --worlds at least 1, --seconds above 0.")
-    rows = bench.run(args.pedestrians, args.worlds, args.sensors, args.seconds, args.pedestrian_model)
+    if args.train is None:
+        rows = bench.run(**given, model=args.pedestrian_model)
+    elif args.sensors is not None:
+        raise UsageError("--train measures learning on the 2D LIDAR: leave --sensors out.")
+    else:
+        with _agents_extra():
+            rows = bench.run_learning(**given, model=args.pedestrian_model)
     if args.out:
         path = pathlib.Path(args.out)
         output_folder(path.parent)
@@ -399,13 +420,14 @@ def parser():
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
 
-    bench = commands.add_parser("bench", help="measure control steps/s", **defaults)
-    bench.add_argument("--pedestrians", type=int, nargs="+", default=[24, 50, 100, 200])
-    bench.add_argument("--worlds", type=int, nargs="+", default=[1, 16])
-    bench.add_argument("--sensors", nargs="+", default=["none", "lidar2d"], help="none, or as --sensor of evaluate")
-    bench.add_argument("--seconds", type=float, default=2.0, help="time a case")
-    bench.add_argument("--pedestrian-model", default="macid")
-    bench.add_argument("--out", default=None, help="JSON file")
+    bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
+    bench.add_argument("--train", nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)")
+    bench.add_argument("--pedestrians", type=int, nargs="+", help="(default: 24 50 100 200; training: 24)")
+    bench.add_argument("--worlds", type=int, nargs="+", help="at once (default: 1 16; training: 16)")
+    bench.add_argument("--sensors", nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
+    bench.add_argument("--seconds", type=float, help="time a case (default: 2; training: 20)")
+    bench.add_argument("--pedestrian-model", default="macid", help="(default: macid)")
+    bench.add_argument("--out", help="JSON file")
     bench.set_defaults(run=_bench)
 
     commands.add_parser("doctor", help="check this installation").set_defaults(run=_doctor)

@@ -52,15 +52,15 @@ def _episode_config(config, track, options):
 
 
 class BsonEnv(gymnasium.Env):
-    """A Jackal drives to a goal among pedestrians (paper, sec. VI).
+    """A robot, the Jackal if `robot` names no other, drives to a goal among pedestrians (paper, sec. VI).
 
     ## Action
     `Box(-1, 1, (2,), float32)`; zero stands still.
 
-    | | what | at +1 |
-    |---|---|---|
-    | 0 | speed ahead; negative drives back | 2.0 m/s |
-    | 1 | yaw rate, counter-clockwise | 2.0 rad/s |
+    | | what | at +1 | of the Jackal |
+    |---|---|---|---|
+    | 0 | speed ahead; negative drives back | the robot's max_speed | 2.0 m/s |
+    | 1 | yaw rate, counter-clockwise | the robot's max_yaw_rate | 2.0 rad/s |
 
     ## Observation
     A dict of arrays, float32 where nothing else is said. The robot frame has x ahead, y to the left.

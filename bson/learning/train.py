@@ -1,5 +1,6 @@
 """Training a robot: PPO, SAC and TAC in worlds of the benchmark, or BC from an expert's episodes."""
 
+import contextlib
 import dataclasses
 import functools
 import io
@@ -156,6 +157,18 @@ class _Progress(BaseCallback):
             self._show(steps, scores, validation=True)
 
 
+@contextlib.contextmanager
+def one_thread():
+    """Lets torch compute in one thread: for networks this small, threads wait for each other longer than they work,
+    and MuJoCo has threads of its own."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def _save_checkpoint(model, keeper):
     """Writes all of a training but the worlds: networks, optimisers, replay buffer, counters, random numbers."""
     buffer = io.BytesIO()
@@ -192,6 +205,7 @@ def _load_checkpoint(path, keeper):
     return model
 
 
+@one_thread()
 def train(
     config, out, resume=False, show=lambda steps, figures, validation=False: None, seconds_between_checkpoints=120
 ):

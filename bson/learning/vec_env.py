@@ -24,6 +24,11 @@ class FeatureVecEnv(VecEnv):
         space = gymnasium.spaces.Box(-10.0, 10.0, (FEATURES,), np.float32)
         super().__init__(num_envs, space, self._env.single_action_space)
 
+    @property
+    def world(self):
+        """The World of all, for whoever measures it."""
+        return self._env.world
+
     def reset(self):
         """Begins an episode in every world; features (num_envs, FEATURES)."""
         observation, _ = self._env.reset()

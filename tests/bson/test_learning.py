@@ -16,7 +16,7 @@ from bson.env import BsonEnv
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, select
-from bson.learning.train import TrainConfig, train
+from bson.learning.train import TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
 from macid.policy import write_network
@@ -213,3 +213,14 @@ def test_bc_learns_from_an_expert_file(tmp_path):
 def test_a_wrong_setting_is_told(arguments, told):
     with pytest.raises(ValueError, match=told):
         TrainConfig(**arguments)
+
+
+def test_training_leaves_torchs_threads_as_they_were():
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(KeyError), one_thread():
+            assert torch.get_num_threads() == 1
+            raise KeyError
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
