@@ -45,7 +45,7 @@ class TrainConfig:
     task: dict = dataclasses.field(default_factory=dict)  # fields of TaskConfig that differ from the paper's setting
     num_envs: int = 16
     validate_every: int = 100_000  # steps; the policy that scores best is the one that is kept
-    validate_episodes: int = 32
+    validate_episodes: int = 64
     hyperparameters: PpoConfig | SacConfig | BcConfig | None = None  # default: the algorithm's
 
     def __post_init__(self):
