@@ -2,8 +2,8 @@
 
     tools/reproduce_table3.py --out table3
 
-Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over.md (robots trained among one kind of
-pedestrian, tested among each) and lcf.md (the score by the LCF of everybody). Robots are trained to OUT/runs; each
+Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among one
+kind of pedestrian, tested among each) and lcf.md (the score by the LCF of everybody). Robots are trained to OUT/runs; each
 evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are means over seeds and episodes;
 intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
 """
@@ -94,6 +94,28 @@ def cells(measured, names=PARTS):
     return " | ".join(text)
 
 
+def ship(algo, files, measured, suite, folder):
+    """Copies to `folder` the robot of those of `algo` that did best in validation, its scores and all seeds' noted.
+
+    measured: the episodes of each of `files`.
+    """
+    recipes = [json.loads(file.with_suffix(".json").read_text()) for file in files]
+    seeds = [
+        {
+            "seed": recipe["seed"],
+            "validation SNS": recipe["validation"]["SNS"],
+            "SNS": round(summarise(rows)["SNS"]["mean"], 2),
+        }
+        for recipe, rows in zip(recipes, measured, strict=True)
+    ]
+    best = max(range(len(files)), key=lambda index: seeds[index]["validation SNS"])
+    found = summarise(measured[best])
+    scores = {name: {key: round(found[name][key], 4) for key in ("mean", "low", "high")} for name in PARTS}
+    noted = {"suite": suite.name, "digest": suite.digest, **scores}
+    write_bytes(folder / f"{algo}.npz", files[best].read_bytes())
+    write_json(folder / f"{algo}.json", {**recipes[best], "scores": noted, "seeds": seeds})
+
+
 def run(args):
     """Makes the tables; returns the exit code."""
     out = output_folder(args.out)
@@ -111,11 +133,14 @@ def run(args):
     agents = {**trained, **{name: [name] for name in SCRIPTED}}
     table = ["| agent | " + " | ".join(PARTS) + " |", "|---" * (1 + len(PARTS)) + "|"]
     for name, files in agents.items():
-        measured = over_seeds([scored(rows, str(file), suite) for file in files])
+        by_seed = [scored(rows, str(file), suite) for file in files]
+        if args.ship and name in trained:
+            ship(name, files, by_seed, output_folder(args.ship))
+        measured = over_seeds(by_seed)
         note = f" ({len(files)} seeds)" if name in trained else ""
         table.append(f"| {name}{note} | {cells(measured)} |")
         if len(files) > 1:
-            means = [np.mean([row["SNS"] for row in scored(rows, str(file), suite)]) for file in files]
+            means = [np.mean([row["SNS"] for row in episodes]) for episodes in by_seed]
             table.append(f"| *of its seeds, SNS* | {', '.join(f'{mean:.1f}' for mean in means)} |" + " |" * 4)
         if name in PAPER:
             table.append("| *paper* | " + " | ".join(map(str, PAPER[name])) + " |")
@@ -151,6 +176,7 @@ def main():
     )
     parser.add_argument("--seeds", type=int, default=3, help="of each training (default 3)")
     parser.add_argument("--steps", type=float, default=1e6, help="of each training (default 1e6)")
+    parser.add_argument("--ship", metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
     parser.add_argument("--out", default="table3")
     args = parser.parse_args()
     return run_command("reproduce_table3", lambda: run(args))
