@@ -34,6 +34,7 @@ PAPER = {
 }
 CROWDS = ("social-force", "orca", "ipo", "macid")  # of the carry-over table
 SCRIPTED = ("goal", "vfh", "dwa")
+DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
 
 def wanted(algo, crowd, seed, steps, runs):
@@ -43,7 +44,7 @@ def wanted(algo, crowd, seed, steps, runs):
         return config
     expert = wanted("ppo", crowd, seed, steps, runs)
     return TrainConfig(
-        algo, seed, steps, config.task,
+        algo, seed, int(DEMONSTRATED * steps), config.task,
         hyperparameters=type(ALGORITHMS["bc"])(expert=str(runs / f"{expert.name}-{seed}" / "policy.npz")),
     )  # fmt: skip
 

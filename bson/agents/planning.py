@@ -3,16 +3,34 @@
 import numpy as np
 
 from bson.agents.global_view import GlobalView
-from bson.planners import CarrtStarConfig, NoPath, PurePursuit, RrtStarConfig, plan, shortcut, social_cost
+from bson.planners import (
+    CarrtStarConfig,
+    NoPath,
+    PurePursuit,
+    RrtConfig,
+    RrtStarConfig,
+    nearest_on,
+    path_cost,
+    plan,
+    shortcut,
+    social_cost,
+)
 
 _CLEARANCE = 0.40  # kept from walls: the Jackal's circle of 0.31 m, and what a follower cuts of a corner [m]
 
 
+_NEAR = 10.0  # of way in which a path's detours are taken out: it is planned anew long before more is driven [m]
+_AHEAD, _QUIET = 4.0, 2.0  # RRT plans anew when the next 4 m of way cost more than twice their length
+
+
 class _Planning:
-    """Plans every `replan` decisions, or when the way is blocked, and follows; stops where there is no way."""
+    """Plans every `replan` decisions, or when there is no path, and follows; stops where there is no way.
+
+    config is the planner's first, `again` that of the later ones, which begin with what is left of the last path.
+    """
 
     track, sensor = "global", "lidar2d"
-    planner, replan, config = "astar", 3, None
+    planner, replan, config, again = "astar", 3, None, None
     top = np.array([2.0, 2.0])  # that an action of 1 stands for [m/s, rad/s]
 
     def __init__(self):
@@ -43,12 +61,21 @@ class _Planning:
         view = self._view
         cost = social_cost(self._grid, view.people, view.people_velocity)
         start, end = self._grid.nearest_free(view.pose[:2]), self._grid.nearest_free(view.goal)
+        config = self.config if self._path is None else self.again
         try:
-            path = plan(self.planner, self._grid, start, end, cost, self._rng, self.config)
+            path = plan(self.planner, self._grid, start, end, cost, self._rng, config, self._known(cost))
         except NoPath:
             return  # the last path, if there is one, is better than none
-        path = shortcut(path, self._grid, cost)
+        near = 2 + int(np.searchsorted(np.hypot(*np.diff(path, axis=0).T).cumsum(), _NEAR))
+        path = np.concatenate([shortcut(path[:near], self._grid, cost), path[near:]])
         self._path = np.concatenate([path[:-1], view.goal[None]])
+
+    def _known(self, cost):
+        """What is left of the last path (N, 2); None: nothing that is of use."""
+        if self._path is None or len(self._path) < 2:
+            return None
+        leg, foot = nearest_on(self._path, self._view.pose[:2])
+        return np.concatenate([foot[None], self._path[leg + 1 :]])
 
 
 class AStar(_Planning):
@@ -56,18 +83,29 @@ class AStar(_Planning):
 
 
 class Rrt(_Planning):
-    """RRT (LaValle 1998)."""
+    """RRT (LaValle 1998), which heeds no cost: it keeps its path until people are on it."""
 
-    planner, replan = "rrt", 10
+    planner, replan, again = "rrt", 10, RrtConfig(samples=1000)
+
+    def _known(self, cost):
+        known = super()._known(cost)
+        if known is None:
+            return None
+        ends = np.hypot(*np.diff(known, axis=0).T).cumsum()
+        ahead = known[: 2 + int(np.searchsorted(ends, _AHEAD))]
+        length = ends[min(len(ahead) - 2, len(ends) - 1)]
+        return known if path_cost(ahead, self._grid, cost) <= _QUIET * length else None
 
 
 class RrtStar(_Planning):
     """RRT* (Karaman and Frazzoli 2011)."""
 
-    planner, replan, config = "rrt-star", 10, RrtStarConfig(enough=300)  # it plans anew before more would pay
+    planner, replan = "rrt-star", 10
+    config = again = RrtStarConfig(enough=300)  # it plans anew before more would pay
 
 
 class CarrtStar(_Planning):
     """Cost-aware RRT*."""
 
-    planner, replan, config = "carrt-star", 10, CarrtStarConfig(enough=200)
+    planner, replan = "carrt-star", 10
+    config = again = CarrtStarConfig(enough=200)

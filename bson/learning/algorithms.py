@@ -61,7 +61,7 @@ class SacConfig:
     batch: int = 256
     buffer: int = 300_000  # steps
     learning_starts: int = 10_000  # random steps before
-    steps_per_update: int = 8
+    steps_per_update: int = 16  # one a control step of 16 worlds
     q: float = 1.0  # entropic index
 
     def build(self, env, seed):

@@ -17,7 +17,7 @@ All but `rrt`, which stops at its first path, heed the cost map.
 
 from bson.planners.grid import Grid, NoPath, path_cost
 from bson.planners.planning import PLANNERS, plan, shortcut
-from bson.planners.pursuit import PurePursuit
+from bson.planners.pursuit import PurePursuit, nearest_on
 from bson.planners.search import AStarConfig, DijkstraConfig
 from bson.planners.social_cost import SocialCostConfig, social_cost
 from bson.planners.trees import CarrtStarConfig, RrtConfig, RrtStarConfig
@@ -33,6 +33,7 @@ __all__ = [
     "RrtConfig",
     "RrtStarConfig",
     "SocialCostConfig",
+    "nearest_on",
     "path_cost",
     "plan",
     "shortcut",

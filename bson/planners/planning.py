@@ -8,7 +8,7 @@ from bson.planners.trees import CarrtStar, CarrtStarConfig, Rrt, RrtConfig, RrtS
 
 
 def _tree(kind):
-    return lambda grid, rate, start, goal, rng, config: kind(grid, rate, start, goal, rng, config).path()
+    return lambda *arguments: kind(*arguments).path()
 
 
 _PLANNERS = {
@@ -21,13 +21,15 @@ _PLANNERS = {
 PLANNERS = tuple(_PLANNERS)
 
 
-def plan(name, grid, start, goal, cost=None, rng=None, config=None):
+def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
     """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
 
     name: one of PLANNERS. cost: (rows, columns), at least 0, as of `social_cost`. rng: what the trees draw from, a
     numpy Generator or a seed; None: seed 0. config: the planner's own (AStarConfig, ...); None: its defaults.
+    known: a path (N, 2) [m] that the trees begin with, as far as it is free, such as what is left of the last one
+    (anytime RRT*: Karaman et al., ICRA 2011). Then RRT returns it, and the others are no worse than it if it leads to the goal.
     Raises NoPath where there is none or none was found, and ValueError where start or goal is off the map or in an
-    obstacle (`Grid.nearest_free` helps) and for what is no planner, cost map or config.
+    obstacle (`Grid.nearest_free` helps) and for what is no planner, cost map, config or path.
     """
     if name not in _PLANNERS:
         raise ValueError(f"Unknown planner {name!r}. Choose one of {', '.join(PLANNERS)}.")
@@ -53,7 +55,12 @@ def plan(name, grid, start, goal, cost=None, rng=None, config=None):
         raise NoPath(f"There is no way from {places}.")
     scaled = grid.scaled(ends)
     rng = np.random.default_rng(0 if rng is None else rng)
-    path = grid.unscaled(planner(grid, rate, *scaled, rng, config))
+    if known is not None:
+        known = np.asarray(known, dtype=float)
+        if known.ndim != 2 or known.shape[1] != 2 or not np.isfinite(known).all():
+            raise ValueError(f"A known path is (N, 2) finite numbers [m], not of shape {known.shape}.")
+        known = grid.scaled(known)
+    path = grid.unscaled(planner(grid, rate, *scaled, rng, config, known))
     path[0], path[-1] = ends  # without the rounding
     return path
 

@@ -6,6 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def nearest_on(path, place):
+    """The leg (an index) of `path` (N, 2), N >= 2, that is nearest to `place` (2,), and its point (2,) that is."""
+    legs = np.diff(path, axis=0)
+    part = ((place - path[:-1]) * legs).sum(axis=-1) / np.maximum((legs**2).sum(axis=-1), 1e-12)
+    feet = path[:-1] + np.clip(part, 0.0, 1.0)[:, None] * legs
+    leg = int(np.hypot(*(feet - place).T).argmin())
+    return leg, feet[leg]
+
+
 @dataclass(frozen=True)
 class PurePursuit:
     """Follows a path by pure pursuit (Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992).
@@ -58,13 +67,9 @@ class PurePursuit:
         """The point (2,) of `path` to steer to from `place` (2,), and how far it is to the path's end [m]."""
         if len(path) == 1:
             return path[0], math.dist(place, path[0])
-        legs = np.diff(path, axis=0)
-        squared = (legs**2).sum(axis=-1)
-        part = np.clip(((place - path[:-1]) * legs).sum(axis=-1) / np.maximum(squared, 1e-12), 0.0, 1.0)
-        off = np.hypot(*(path[:-1] + part[:, None] * legs - place).T)
-        nearest = int(off.argmin())
-        ends = np.concatenate([[0.0], np.sqrt(squared).cumsum()])
-        along = ends[nearest] + part[nearest] * (ends[nearest + 1] - ends[nearest])
+        leg, foot = nearest_on(path, place)
+        ends = np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
+        along = ends[leg] + math.dist(path[leg], foot)
         reach = along + self.lookahead
         target = np.array([np.interp(reach, ends, path[:, 0]), np.interp(reach, ends, path[:, 1])])
-        return target, float(ends[-1] - along + off[nearest])
+        return target, float(ends[-1] - along + math.dist(foot, place))

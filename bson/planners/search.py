@@ -24,12 +24,12 @@ class AStarConfig(DijkstraConfig):
             raise ValueError(f"weight must be at least 0, not {self.weight!r}.")
 
 
-def dijkstra(grid, rate, start, goal, rng, config):
-    """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. rng and config have no effect."""
+def dijkstra(grid, rate, start, goal, rng, config, known):
+    """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. The others have no effect."""
     return _search(grid, rate, start, goal, np.zeros(grid.shape))
 
 
-def astar(grid, rate, start, goal, rng, config):
+def astar(grid, rate, start, goal, rng, config, known):
     """As `dijkstra`, with AStarConfig's heuristic."""
     (x, y), (rows, columns) = np.floor(goal), grid.shape
     dx, dy = np.abs(np.arange(columns) - x), np.abs(np.arange(rows) - y)[:, None]

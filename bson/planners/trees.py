@@ -65,17 +65,37 @@ def _polar(angles, lengths):
 
 
 class Rrt:
-    """A tree of free, straight edges that grows from the start. Points and lengths in cells."""
+    """A tree of free, straight edges that grows from the start. Points and lengths in cells.
 
-    def __init__(self, grid, rate, start, goal, rng, config):
+    known: a path (N, 2) whose free beginning is the tree's first branch, or None.
+    """
+
+    def __init__(self, grid, rate, start, goal, rng, config, known=None):
         self.grid, self.rate, self.goal, self.rng, self.config = grid, rate, goal, rng, config
         self.step = config.step / grid.resolution
         row, column = np.floor(start[::-1]).astype(int)
         self.free = np.argwhere(grid.regions == grid.regions[row, column])[:, ::-1]  # corners of reachable cells
-        self.points = np.empty((config.samples + 1, 2))
-        self.costs = np.zeros(config.samples + 1)
+        branch = np.zeros((0, 2)) if known is None else self.branch(start, known)
+        most = config.samples + len(branch) + 1
+        self.points, self.costs = np.empty((most, 2)), np.zeros(most)
         self.parents, self.children, self.at_goal = [], [], []
-        self.add(start, None, 0.0)
+        node = self.add(start, None, 0.0)
+        for point, cost in zip(branch, self.line_costs(np.vstack([start, branch[:-1]]), branch), strict=True):
+            if not cost < np.inf:
+                break
+            node = self.add(point, node, cost)
+
+    def branch(self, start, path):
+        """Points (M, 2) from `start` (2,), left out, along `path` (N, 2) at most `step` apart, without the goal."""
+        corners = np.vstack([start, path])
+        parts = np.ceil(np.hypot(*np.diff(corners, axis=0).T) / self.step).astype(int)  # 0 of a leg without length
+        legs = [
+            a + (b - a) * np.arange(1, n + 1)[:, None] / n
+            for a, b, n in zip(corners[:-1], corners[1:], parts, strict=True)
+            if n
+        ]
+        points = np.concatenate([np.zeros((0, 2)), *legs])
+        return points[:-1] if len(points) and np.allclose(points[-1], self.goal) else points
 
     def path(self):
         """The cheapest path (N, 2) found. Raises NoPath."""
@@ -185,9 +205,9 @@ class RrtStar(Rrt):
 class CarrtStar(RrtStar):
     """RRT*, but the cross-entropy method chooses each extension."""
 
-    def __init__(self, grid, rate, start, goal, rng, config):
+    def __init__(self, grid, rate, start, goal, rng, config, known=None):
         self.noise = rng.spawn(1)[0]  # leaves the samples as RRT*'s
-        super().__init__(grid, rate, start, goal, rng, config)
+        super().__init__(grid, rate, start, goal, rng, config, known)
 
     def extend(self, nearest, sample):
         config, start = self.config, self.points[nearest]

@@ -15,6 +15,7 @@ from bson.planners import (
     RrtConfig,
     RrtStarConfig,
     SocialCostConfig,
+    nearest_on,
     path_cost,
     plan,
     shortcut,
@@ -323,6 +324,7 @@ def test_start_and_goal_may_share_a_cell_or_be_one(name):
         ({"cost": np.zeros((3, 3))}, "cost map"),
         ({"cost": np.full(SCREEN.shape, -0.1)}, "cost map"),
         ({"config": RrtConfig()}, "configured by a AStarConfig"),
+        ({"known": [0.0, 1.0]}, "known path"),
     ],
 )
 def test_what_cannot_be_planned_is_told(changes, message):
@@ -367,10 +369,46 @@ def test_more_samples_make_no_path_worse(name, with_cost):
         assert 0.97 * best <= costs[-1] <= 1.06 * best
 
 
+@pytest.mark.parametrize("name", TREES)
+def test_a_known_path_is_where_the_trees_begin(name):
+    start, goal = (-6.0, -7.0), (6.0, -7.0)
+    known = np.array([(-4.0, 2.0), (-0.5, 3.5), (0.7, 3.5), (5.0, -5.0), goal])
+    at_once = dataclasses.replace(QUICK[name], samples=1)
+    path = plan(name, SCREEN, start, goal, rng=1, config=at_once, known=known)
+    assert length(path) <= length(np.vstack([start, known])) + 1e-9
+    if name == "rrt":
+        np.testing.assert_allclose(length(path), length(np.vstack([start, known])))
+    better = plan(name, SCREEN, start, goal, rng=1, config=QUICK[name], known=known)
+    assert length(better) <= length(path) + 1e-9 and is_clear(better, SCREEN)
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_of_a_blocked_known_path_the_free_beginning_serves(name):
+    through = [(-3.0, 0.0), (3.0, 0.0), (6.0, -7.0)]  # the second leg crosses the wall
+    path = plan(name, SCREEN, (-6.0, -7.0), (6.0, -7.0), config=QUICK[name], known=through)
+    assert is_clear(path, SCREEN)
+    few = dataclasses.replace(QUICK[name], samples=3)
+    with pytest.raises(NoPath):
+        plan(name, SCREEN, (-6.0, -7.0), (6.0, -7.0), config=few, known=through)
+
+
+def test_the_nearest_leg_and_its_point():
+    path = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
+    for place, leg, foot in (
+        ((1.0, 2.0), 0, (1.0, 0.0)),
+        ((5.0, 3.0), 1, (4.0, 3.0)),
+        ((-1.0, -1.0), 0, (0.0, 0.0)),
+        ((6.0, 9.0), 1, (4.0, 4.0)),
+    ):
+        found = nearest_on(path, np.array(place))
+        assert found[0] == leg and found[1].tolist() == list(foot)
+
+
 def test_rewiring_keeps_the_trees_costs_true():
     cost = social_cost(SCREEN, [[0.5, 4.0], [-3.0, -3.0], [4.0, 0.0]], [[1, 0], [0, 1], [-1, -1]])
     ends = (np.array([(-6.0, -7.0), (6.0, -7.0)]) - SCREEN.origin) / SCREEN.resolution
-    tree = RrtStar(SCREEN, 1 + cost, *ends, np.random.default_rng(0), QUICK["rrt-star"])
+    known = (np.array([(-4.0, 2.0), (-0.5, 3.5), (0.7, 3.5)]) - SCREEN.origin) / SCREEN.resolution
+    tree = RrtStar(SCREEN, 1 + cost, *ends, np.random.default_rng(0), QUICK["rrt-star"], known)
     tree.path()
     points = SCREEN.origin + SCREEN.resolution * tree.points
     assert len(tree.parents) > 60
