@@ -33,6 +33,7 @@ PAPER = {
     "bc": (48.85, 0.992, 16.32, 0.569, 0.901),
 }
 CROWDS = ("social-force", "orca", "ipo", "macid")  # of the carry-over table
+TABLES = ("table3", "lcf", "carry-over")
 SCRIPTED = ("goal", "vfh", "dwa")
 DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
@@ -58,20 +59,20 @@ def robot(config, runs):
     return file
 
 
-def scored(rows, agent, suite, **changes):
-    """Metrics of each of the suite's episodes with the task's fields `changes`; from the folder `rows` if they are there."""
+def scored(rows, agent, suite, seeds, **changes):
+    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are there."""
     (cell,) = suite.cells
     config = cell.config.replace(**changes)
     file = pathlib.Path(agent)
     weights = file.read_bytes() if file.suffix == ".npz" else agent.encode()
-    key = repr((hashlib.sha256(weights).hexdigest(), suite.digest, sorted(changes.items())))
+    key = repr((hashlib.sha256(weights).hexdigest(), suite.digest, seeds, sorted(changes.items())))
     path = rows / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
     if path.exists():
         return json.loads(path.read_text())["episodes"]
     make_agent = load_agent(agent)
     print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
     track = make_track(make_agent.track, make_agent.sensor)
-    episodes = run_episodes(make_agent, config, track, list(suite.seeds), agent)
+    episodes = run_episodes(make_agent, config, track, seeds, agent)
     measured = [{name: measure(episode)[name] for name in (*PARTS, "success")} for episode in episodes]
     write_json(path, {"agent": agent, "changes": {k: str(v) for k, v in changes.items()}, "episodes": measured})
     return measured
@@ -117,54 +118,73 @@ def ship(algo, files, measured, suite, folder):
     write_json(folder / f"{algo}.json", {**recipes[best], "scores": noted, "seeds": seeds})
 
 
-def run(args):
-    """Makes the tables; returns the exit code."""
-    out = output_folder(args.out)
-    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
-    suite, seeds, steps = load_suite("paper"), range(args.seeds), int(args.steps)
-
-    def robots(algo, crowd="macid"):
-        return [robot(wanted(algo, crowd, seed, steps, runs), runs) for seed in seeds]
-
-    def write(name, lines):
-        write_bytes(out / name, ("\n".join(lines) + "\n").encode())
-        print("\n".join(["", f"{out / name}:", *lines]))
-
-    trained = {algo: robots(algo) for algo in args.algos}
-    agents = {**trained, **{name: [name] for name in SCRIPTED}}
+def _table3(agents, score, note):
+    """Lines of Table III; note: called with each trained algorithm, its files and the episodes of each."""
     table = ["| agent | " + " | ".join(PARTS) + " |", "|---" * (1 + len(PARTS)) + "|"]
     for name, files in agents.items():
-        by_seed = [scored(rows, str(file), suite) for file in files]
-        if args.ship and name in trained:
-            ship(name, files, by_seed, output_folder(args.ship))
-        measured = over_seeds(by_seed)
-        note = f" ({len(files)} seeds)" if name in trained else ""
-        table.append(f"| {name}{note} | {cells(measured)} |")
-        if len(files) > 1:
+        by_seed = [score(file) for file in files]
+        several = f" ({len(files)} seeds)" if len(files) > 1 else ""
+        table.append(f"| {name}{several} | {cells(over_seeds(by_seed))} |")
+        if several:
             means = [np.mean([row["SNS"] for row in episodes]) for episodes in by_seed]
             table.append(f"| *of its seeds, SNS* | {', '.join(f'{mean:.1f}' for mean in means)} |" + " |" * 4)
         if name in PAPER:
             table.append("| *paper* | " + " | ".join(map(str, PAPER[name])) + " |")
-    write("table3.md", table)
+            note(name, files, by_seed)
+    return table
 
+
+def _by_lcf(agents, score):
+    """Lines of the table of the SNS by everybody's LCF."""
     bins = lcf_bins("macid")
-    table = ["| agent | " + " | ".join(f"({low:.2f}, {high:.2f})" for low, high in bins) + " |"]
+    table = ["| agent: SNS | " + " | ".join(f"({low:.2f}, {high:.2f})" for low, high in bins) + " |"]
     table.append("|---" * (1 + len(bins)) + "|")
     for name, files in agents.items():
-        by_bin = [over_seeds([scored(rows, str(file), suite, lcf=lcf) for file in files]) for lcf in bins]
+        by_bin = [over_seeds([score(file, lcf=lcf) for file in files]) for lcf in bins]
         table.append(f"| {name} | " + " | ".join(cells(measured, ("SNS",)) for measured in by_bin) + " |")
-    write("lcf.md", table)
+    return table
 
-    for metric in ("SNS", "Coll"):
-        table = [f"| {metric}: trained among | " + " | ".join(CROWDS) + " |", "|---" * (1 + len(CROWDS)) + "|"]
-        for crowd in CROWDS:
-            files = robots(args.carry, crowd)
-            tested = [
-                over_seeds([scored(rows, str(file), suite, pedestrian_model=among) for file in files])
-                for among in CROWDS
-            ]
-            table.append(f"| {crowd} | " + " | ".join(cells(measured, (metric,)) for measured in tested) + " |")
-        write(f"carry-over-{metric}.md", table)
+
+def _carried(robots, score, metric):
+    """Lines of the carry-over table of a metric; robots: {crowd: files of those trained in it}."""
+    table = [f"| {metric}: trained among | " + " | ".join(CROWDS) + " |", "|---" * (1 + len(CROWDS)) + "|"]
+    for crowd, files in robots.items():
+        tested = [over_seeds([score(file, pedestrian_model=among) for file in files]) for among in CROWDS]
+        table.append(f"| {crowd} | " + " | ".join(cells(measured, (metric,)) for measured in tested) + " |")
+    return table
+
+
+def run(args):
+    """Makes the tables; returns the exit code."""
+    out = output_folder(args.out)
+    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
+    suite, steps = load_suite("paper"), int(args.steps)
+    episodes = suite.drawn(args.episodes, 0)
+
+    def robots(algo, crowd="macid"):
+        return [str(robot(wanted(algo, crowd, seed, steps, runs), runs)) for seed in range(args.seeds)]
+
+    def score(agent, **changes):
+        return scored(rows, agent, suite, episodes, **changes)
+
+    def note(algo, files, by_seed):
+        if args.ship:
+            ship(algo, [pathlib.Path(file) for file in files], by_seed, suite, output_folder(args.ship))
+
+    def write(name, lines):
+        write_bytes(out / name, ("\n".join(lines) + "\n").encode())
+        print("\n".join(["", f"{out / name}:", *lines]), flush=True)
+
+    if {"table3", "lcf"} & set(args.tables):
+        agents = {algo: robots(algo) for algo in args.algos} | {name: [name] for name in SCRIPTED}
+    if "table3" in args.tables:
+        write("table3.md", _table3(agents, score, note))
+    if "lcf" in args.tables:
+        write("lcf.md", _by_lcf(agents, score))
+    if "carry-over" in args.tables:
+        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS}
+        for metric in ("SNS", "Coll"):
+            write(f"carry-over-{metric}.md", _carried(carried, score, metric))
     return 0
 
 
@@ -177,6 +197,8 @@ def main():
     )
     parser.add_argument("--seeds", type=int, default=3, help="of each training (default 3)")
     parser.add_argument("--steps", type=float, default=1e6, help="of each training (default 1e6)")
+    parser.add_argument("--episodes", type=int, default=None, help="only the suite's first N episodes")
+    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--ship", metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
     parser.add_argument("--out", default="table3")
     args = parser.parse_args()
