@@ -85,7 +85,7 @@ class AStar(_Planning):
 class Rrt(_Planning):
     """RRT (LaValle 1998), which heeds no cost: it keeps its path until people are on it."""
 
-    planner, replan, again = "rrt", 10, RrtConfig(samples=1000)
+    planner, again = "rrt", RrtConfig(samples=1000)
 
     def _known(self, cost):
         known = super()._known(cost)
@@ -100,12 +100,12 @@ class Rrt(_Planning):
 class RrtStar(_Planning):
     """RRT* (Karaman and Frazzoli 2011)."""
 
-    planner, replan = "rrt-star", 10
-    config = again = RrtStarConfig(enough=300)  # it plans anew before more would pay
+    planner = "rrt-star"
+    config = again = RrtStarConfig(enough=100)  # it plans anew before more would pay
 
 
 class CarrtStar(_Planning):
     """Cost-aware RRT*."""
 
-    planner, replan = "carrt-star", 10
-    config = again = CarrtStarConfig(enough=200)
+    planner = "carrt-star"
+    config = again = CarrtStarConfig(enough=70)
