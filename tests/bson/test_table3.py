@@ -1,0 +1,78 @@
+"""tools/reproduce_table3.py, but for the trainings."""
+
+import importlib.util
+import json
+import pathlib
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from bson.agents import learned
+from bson.features import FEATURES
+from bson.suites import load_suite
+from macid.policy import write_network
+
+_FILE = pathlib.Path(__file__).parents[2] / "tools" / "reproduce_table3.py"
+_SPEC = importlib.util.spec_from_file_location("reproduce_table3", _FILE)
+table3 = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(table3)
+
+
+def episode(sns, **more):
+    return {"SNS": sns, "RC": 1.0, "Coll": 0.0, "SP": 1.0, "PE": 0.5, "success": 1.0, **more}
+
+
+def write_robot(folder, seed, validation, steps=1000):
+    layers = [(np.full((FEATURES, 2), 0.01 * seed, np.float32), np.zeros(2, np.float32))]
+    recipe = {"seed": seed, "output": "clip", "steps_done": steps, "validation": {"SNS": validation}}
+    folder.mkdir(parents=True)
+    write_network(folder / "policy", layers, recipe)
+    return folder / "policy.npz"
+
+
+def test_seeds_are_averaged_episode_by_episode():
+    (first, second) = table3.over_seeds([[episode(80.0, Coll=2.0), episode(60.0)], [episode(90.0), episode(0.0)]])
+    assert (first["SNS"], first["Coll"], second["SNS"], second["RC"]) == (85.0, 1.0, 30.0, 1.0)
+
+
+def test_a_row_has_the_means_and_the_seeds_beside_the_papers():
+    scores = {"a": [episode(80.0), episode(60.0)], "b": [episode(90.0), episode(70.0)], "goal": [episode(50.0)] * 2}
+    noted = []
+    lines = table3._table3({"tac": ["a", "b"], "goal": ["goal"]}, scores.get, lambda *what: noted.append(what))
+    assert lines[2].startswith("| tac (2 seeds) | 75.0 [65.0, 85.0] | 1.000 | 0.0 [0.0, 0.0] | 1.000 | 0.500 |")
+    assert "| 70.0, 80.0 |" in lines[3] and "| 65.14 |" in lines[4]
+    assert lines[5].startswith("| goal | 50.0 [50.0, 50.0]") and len(lines) == 6
+    assert noted == [("tac", ["a", "b"], [scores["a"], scores["b"]])]
+
+
+def test_the_robot_that_validated_best_is_shipped_whatever_it_scores(tmp_path):
+    files = [write_robot(tmp_path / f"ppo-{seed}", seed, validation) for seed, validation in ((1, 80.0), (2, 95.0))]
+    suite = load_suite("paper")
+    table3.ship("ppo", files, [[episode(99.0)] * 3, [episode(70.0), episode(90.0)]], suite, tmp_path)
+    recipe = json.loads((tmp_path / "ppo.json").read_text())
+    assert recipe["seed"] == 2 and recipe["scores"]["SNS"]["mean"] == 80.0
+    assert recipe["scores"]["suite"] == "paper" and recipe["scores"]["digest"] == suite.digest
+    assert [(each["seed"], each["SNS"]) for each in recipe["seeds"]] == [(1, 99.0), (2, 80.0)]
+    shipped, trained = (learned.load(str(path))() for path in (tmp_path / "ppo.npz", files[1]))
+    x = np.ones((1, FEATURES), np.float32)
+    assert (shipped.act(x) == trained.act(x)).all()
+
+
+def test_bc_learns_from_the_ppo_of_its_seed_and_crowd(tmp_path):
+    config = table3.wanted("bc", "orca", 2, 1000, tmp_path)
+    assert config.hyperparameters.expert == str(tmp_path / "ppo-orca-2" / "policy.npz")
+    assert config.task == {"pedestrian_model": "orca"} and config.steps == 200
+    assert table3.wanted("ppo", "macid", 0, 1000, tmp_path).task == {}
+
+
+def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(table3, "train_with_bar", lambda config, *_, **__: trained.append(config.seed))
+    file = write_robot(tmp_path / "ppo-1", 1, 90.0)
+    write_robot(tmp_path / "ppo-2", 2, 90.0, steps=999)
+    assert table3.robot(table3.wanted("ppo", "macid", 1, 1000, tmp_path), tmp_path) == file and trained == []
+    for seed in (2, 3):  # cut short; not begun
+        table3.robot(table3.wanted("ppo", "macid", seed, 1000, tmp_path), tmp_path)
+    assert trained == [2, 3]
