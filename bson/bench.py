@@ -1,6 +1,7 @@
 """How fast the benchmark steps and robots learn in it, and how much of the time MuJoCo itself takes."""
 
 import dataclasses
+import itertools
 import os
 import platform
 import time
@@ -84,15 +85,11 @@ def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0
     show(f"pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")
     show(f"{'people':>7}{'worlds':>8}{'sensor':>10}{'control steps/s':>17}{'in MuJoCo':>11}")
     rows = []
-    for number in people:
-        for nworld in batches:
-            for sensor in sensors:
-                config = TaskConfig(num_pedestrians=number, pedestrian_model=model)
-                speed, share = measure_speed(config, SENSORS[sensor], nworld, seconds)
-                rows.append(
-                    {"people": number, "worlds": nworld, "sensor": sensor, "steps_per_s": speed, "in_mujoco": share}
-                )
-                show(f"{number:>7}{nworld:>8}{sensor:>10}{speed:>17,.0f}{share:>10.0%}")
+    for number, nworld, sensor in itertools.product(people, batches, sensors):
+        config = TaskConfig(num_pedestrians=number, pedestrian_model=model)
+        speed, share = measure_speed(config, SENSORS[sensor], nworld, seconds)
+        rows.append({"people": number, "worlds": nworld, "sensor": sensor, "steps_per_s": speed, "in_mujoco": share})
+        show(f"{number:>7}{nworld:>8}{sensor:>10}{speed:>17,.0f}{share:>10.0%}")
     return rows
 
 
@@ -159,20 +156,10 @@ def run_learning(algos=LEARNERS, people=(24,), batches=(16,), seconds=20.0, mode
     show(f"training on 2D LIDAR; pedestrians: {model}; {seconds:g} s a case")
     show(f"{'algorithm':>10}{'people':>8}{'worlds':>8}{'control steps/s':>17}{'in updates':>12}{'in MuJoCo':>11}")
     rows = []
-    for algo in algos:
-        for number in people:
-            for nworld in batches:
-                config = {"num_pedestrians": number, "pedestrian_model": model}
-                speed, updating, share = measure_learning(algo, config, nworld, seconds)
-                rows.append(
-                    {
-                        "algo": algo,
-                        "people": number,
-                        "worlds": nworld,
-                        "steps_per_s": speed,
-                        "in_updates": updating,
-                        "in_mujoco": share,
-                    }
-                )
-                show(f"{algo:>10}{number:>8}{nworld:>8}{speed:>17,.0f}{updating:>12.0%}{share:>11.0%}")
+    for algo, number, nworld in itertools.product(algos, people, batches):
+        config = {"num_pedestrians": number, "pedestrian_model": model}
+        speed, updating, share = measure_learning(algo, config, nworld, seconds)
+        show(f"{algo:>10}{number:>8}{nworld:>8}{speed:>17,.0f}{updating:>12.0%}{share:>11.0%}")
+        case = {"algo": algo, "people": number, "worlds": nworld}
+        rows.append({**case, "steps_per_s": speed, "in_updates": updating, "in_mujoco": share})
     return rows
