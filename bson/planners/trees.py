@@ -183,10 +183,12 @@ class RrtStar(Rrt):
         node = self.add(point, int(near[best]), costs[best])
         cheaper = self.costs[node] + costs < self.costs[near] - 1e-9
         for other, edge in zip(near[cheaper].tolist(), costs[cheaper], strict=True):
-            self.children[self.parents[other]].remove(other)
-            self.parents[other] = node
-            self.children[node].append(other)
-            self.lower(other, self.costs[node] + edge - self.costs[other])
+            change = self.costs[node] + edge - self.costs[other]
+            if change < 0:  # still: those before may have made it cheaper
+                self.children[self.parents[other]].remove(other)
+                self.parents[other] = node
+                self.children[node].append(other)
+                self.lower(other, change)
 
     def radius(self):
         """Karaman and Frazzoli's, for the nodes that there are, in cells."""

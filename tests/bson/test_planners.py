@@ -421,6 +421,15 @@ def test_rewiring_keeps_the_trees_costs_true():
         assert [node in children for children in tree.children].index(True) == parent
 
 
+def test_rewiring_makes_no_node_costlier(monkeypatch):
+    changes, lower = [], RrtStar.lower
+    monkeypatch.setattr(RrtStar, "lower", lambda self, node, by: (changes.append(by), lower(self, node, by)))
+    rng = np.random.default_rng(0)
+    cost = social_cost(OPEN, rng.uniform(-9, 9, (20, 2)), rng.normal(0, 1, (20, 2)))
+    plan("rrt-star", OPEN, (-9.0, -9.0), (9.0, 9.0), cost, 0, RrtStarConfig(enough=800))
+    assert len(changes) > 500 and max(changes) < 0
+
+
 def test_rrt_star_is_shorter_than_rrt():
     start, goal = (-6.0, -7.0), (6.0, -7.0)
     for seed in range(3):
