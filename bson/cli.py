@@ -266,6 +266,8 @@ def _train(args):
     with _agents_extra():
         from bson.learning.train import TrainConfig, train_with_bar
 
+    if not 1 <= args.steps < 1e12:
+        raise UsageError(f"--steps must be from 1 to 1e12, not {args.steps}.")
     config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
     folder = train_with_bar(config, args.out, args.resume)
     print(
@@ -287,8 +289,14 @@ def _bench(args):
         "algos": args.train or None,
     }
     given = {name: value for name, value in given.items() if value is not None}
-    if min(args.pedestrians or [0]) < 0 or min(args.worlds or [1]) < 1 or not 0 < (args.seconds or 1.0) < 1e6:
+    seconds = 1.0 if args.seconds is None else args.seconds
+    if min(args.pedestrians or [0]) < 0 or min(args.worlds or [1]) < 1 or not 0 < seconds < 1e6:
         raise UsageError("--pedestrians must be at least 0, --worlds at least 1, --seconds above 0.")
+    if args.out:
+        path = pathlib.Path(args.out)
+        output_folder(path.parent)
+        if path.is_dir():
+            raise UsageError(f"--out '{path}' is a folder. Name a file.")
     if args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
@@ -297,8 +305,6 @@ def _bench(args):
         with _agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
     if args.out:
-        path = pathlib.Path(args.out)
-        output_folder(path.parent)
         write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
 

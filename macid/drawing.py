@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 import mujoco
 import numpy as np
 
-from macid.files import write_bytes
+from macid.files import UsageError, write_bytes
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
 
 LCF_RANGE = (-2.0, 2.0)  # of the colour scale
@@ -36,7 +36,7 @@ _open_stages = weakref.WeakSet()  # to be closed before the graphics library goe
 _gl_process = None  # the process in which OpenGL first drew
 
 
-class Unavailable(RuntimeError):
+class Unavailable(UsageError):
     """This machine can't draw; the message says why and how to mend it."""
 
 

@@ -9,6 +9,7 @@ intervals are bootstrapped over episodes, each one's mean over the seeds of a tr
 """
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import pathlib
@@ -18,12 +19,13 @@ import numpy as np
 
 from bson.agents import load_agent
 from bson.evaluate import run_episodes
-from bson.learning.train import ALGORITHMS, TrainConfig, train_with_bar
+from bson.learning.train import ALGORITHMS, TrainConfig, is_done, train_with_bar
 from bson.metrics import measure, summarise
+from bson.resume import basis
 from bson.suites import load_suite
 from bson.tracks import make_track
 from macid.evaluate import lcf_bins
-from macid.files import output_folder, run_command, write_bytes, write_json
+from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
 PAPER = {
@@ -52,37 +54,40 @@ def wanted(algo, crowd, seed, steps, runs):
 
 def robot(config, runs):
     """The policy file of a training, which is done first if it is missing."""
-    file = runs / f"{config.name}-{config.seed}" / "policy.npz"
-    done = file.exists() and json.loads(file.with_suffix(".json").read_text())["steps_done"] >= config.steps
-    if not done:
+    folder = runs / f"{config.name}-{config.seed}"
+    if not is_done(config, folder):
         train_with_bar(config, runs, resume=True)
-    return file
+    return folder / "policy.npz"
 
 
 def scored(rows, agent, suite, seeds, **changes):
     """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are there."""
     (cell,) = suite.cells
     config = cell.config.replace(**changes)
-    file = pathlib.Path(agent)
-    weights = file.read_bytes() if file.suffix == ".npz" else agent.encode()
-    key = repr((hashlib.sha256(weights).hexdigest(), suite.digest, seeds, sorted(changes.items())))
+    make_agent = load_agent(agent)
+    follows_from = basis(
+        agent, [make_agent.track, make_agent.sensor], [dataclasses.replace(cell, config=config)], False
+    )
+    follows_from["agent"] = follows_from["agent"][1] if agent.endswith(".npz") else agent  # wherever the file lies
+    key = json.dumps([follows_from, suite.digest, seeds])
     path = rows / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
     if path.exists():
         return json.loads(path.read_text())["episodes"]
-    make_agent = load_agent(agent)
     print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
     track = make_track(make_agent.track, make_agent.sensor)
     episodes = run_episodes(make_agent, config, track, seeds, agent)
-    measured = [{name: measure(episode)[name] for name in (*PARTS, "success")} for episode in episodes]
+    measured = [None if e.fault else {name: measure(e)[name] for name in (*PARTS, "success")} for e in episodes]
     write_json(path, {"agent": agent, "changes": {k: str(v) for k, v in changes.items()}, "episodes": measured})
     return measured
 
 
 def over_seeds(by_seed):
-    """Episodes' metrics, each the mean over the seeds of a training: [{metric: mean}, ...]."""
-    return [
-        {name: float(np.mean([row[name] for row in rows])) for name in rows[0]} for rows in zip(*by_seed, strict=True)
-    ]
+    """Episodes' metrics, each the mean over the seeds of a training: [{metric: mean}, ...].
+
+    An episode of which physics failed for any seed, None, is left out.
+    """
+    together = [rows for rows in zip(*by_seed, strict=True) if None not in rows]
+    return [{name: float(np.mean([row[name] for row in rows])) for name in rows[0]} for rows in together]
 
 
 def cells(measured, names=PARTS):
@@ -101,6 +106,7 @@ def ship(algo, files, measured, suite, folder):
 
     measured: the episodes of each of `files`.
     """
+    measured = [[row for row in rows if row] for rows in measured]
     recipes = [json.loads(file.with_suffix(".json").read_text()) for file in files]
     seeds = [
         {
@@ -126,7 +132,7 @@ def _table3(agents, score, note):
         several = f" ({len(files)} seeds)" if len(files) > 1 else ""
         table.append(f"| {name}{several} | {cells(over_seeds(by_seed))} |")
         if several:
-            means = [np.mean([row["SNS"] for row in episodes]) for episodes in by_seed]
+            means = [np.mean([row["SNS"] for row in episodes if row]) for episodes in by_seed]
             table.append(f"| *of its seeds, SNS* | {', '.join(f'{mean:.1f}' for mean in means)} |" + " |" * 4)
         if name in PAPER:
             table.append("| *paper* | " + " | ".join(map(str, PAPER[name])) + " |")
@@ -158,10 +164,16 @@ def run(args):
     """Makes the tables; returns the exit code."""
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
+    if args.seeds < 1 or not 1 <= args.steps < 1e12:
+        raise UsageError("--seeds and --steps must be at least 1.")
+    if args.ship and (args.episodes is not None or "table3" not in args.tables):
+        raise UsageError("--ship notes the scores of Table III: leave --episodes out, and table3 among --tables.")
     suite, steps = load_suite("paper"), int(args.steps)
     episodes = suite.drawn(args.episodes, 0)
 
     def robots(algo, crowd="macid"):
+        if algo == "bc":
+            robots("ppo", crowd)  # the experts
         return [str(robot(wanted(algo, crowd, seed, steps, runs), runs)) for seed in range(args.seeds)]
 
     def score(agent, **changes):

@@ -5,6 +5,7 @@ TAC's networks are (256, 256) by default, with one update every `steps_per_updat
 """
 
 import dataclasses
+import math
 
 import torch
 from stable_baselines3 import PPO, SAC
@@ -66,7 +67,7 @@ class SacConfig:
 
     def build(self, env, seed):
         """The stable-baselines3 model that learns in `env`."""
-        every = max(1, self.steps_per_update // env.num_envs)  # control steps of all worlds between updates
+        every = self.steps_per_update // math.gcd(self.steps_per_update, env.num_envs)  # control steps of all worlds
         return SAC(
             TsallisPolicy,
             env,
@@ -77,7 +78,7 @@ class SacConfig:
             buffer_size=self.buffer,
             learning_starts=self.learning_starts,
             train_freq=every,
-            gradient_steps=max(1, every * env.num_envs // self.steps_per_update),
+            gradient_steps=every * env.num_envs // self.steps_per_update,
             policy_kwargs={"net_arch": list(self.hidden), "q": self.q},
             seed=seed,
             device="cpu",

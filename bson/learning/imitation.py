@@ -43,7 +43,9 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
             recorders[index].snap()
         ended = np.flatnonzero(terminated | truncated)
         for index in ended:
-            done.append((sns(recorders[index].episode()), *map(np.array, seen[index])))
+            episode = recorders[index].episode()
+            if not episode.fault:
+                done.append((sns(episode), *map(np.array, seen[index])))
             collected += len(seen[index][0])
             seen[index] = ([], [])
         if len(ended):

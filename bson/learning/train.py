@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import io
+import json
 import pathlib
 import pickle
 import sys
@@ -16,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
-from bson.evaluate import run_episodes, versions
+from bson.evaluate import run_episodes, sound, versions
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
@@ -24,8 +25,8 @@ from bson.metrics import measure
 from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
-from macid.files import output_folder, write_bytes, write_json
-from macid.learning.curves import plain, thin, write_curve
+from macid.files import write_bytes
+from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
 from macid.policy import write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
@@ -69,7 +70,7 @@ class TrainConfig:
     def name(self):
         """The algorithm, and among whom where these are not the default pedestrians: "ppo", "ppo-orca"."""
         model = self.task.get("pedestrian_model")
-        return f"{self.algo}-{model}" if isinstance(model, str) else self.algo
+        return f"{self.algo}-{pathlib.Path(model).stem}" if isinstance(model, str) else self.algo
 
 
 class _Keeper:
@@ -99,7 +100,7 @@ class _Keeper:
         """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores."""
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
         agent, config = functools.partial(learned.Learned, layers, output), self.config
-        episodes = run_episodes(agent, config.setting, _TRACK, seeds, config.name)
+        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
@@ -174,7 +175,6 @@ def _save_checkpoint(model, keeper):
     buffer = io.BytesIO()
     model.save(buffer)
     content = {
-        "config": keeper.config,
         "steps": model.num_timesteps,
         "model": buffer.getvalue(),
         "replay": getattr(model, "replay_buffer", None),
@@ -190,11 +190,9 @@ def _env(config, steps=0):
     return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
 
 
-def _load_checkpoint(path, keeper):
-    """The model of a checkpoint; its keeper's state is restored. Raises ValueError if it is another configuration's."""
-    saved, config = pickle.loads(path.read_bytes()), keeper.config
-    if saved["config"] != config:
-        raise ValueError(f"{path} is of another configuration: {saved['config']}. Use another --out.")
+def _restore(saved, keeper):
+    """The model of a checkpoint's content; its keeper's state is restored."""
+    config = keeper.config
     keeper.restore(saved["keeper"])
     kind = PPO if isinstance(config.hyperparameters, PpoConfig) else SAC
     model = kind.load(io.BytesIO(saved["model"]), env=_env(config, saved["steps"]), device="cpu")
@@ -205,6 +203,14 @@ def _load_checkpoint(path, keeper):
     return model
 
 
+def is_done(config, folder):
+    """Whether the training `config` has its policy, to the last step, in `folder`."""
+    if not (folder / "policy.npz").exists() or not (folder / "policy.json").exists():
+        return False
+    recipe, wanted = json.loads((folder / "policy.json").read_text()), plain(config)
+    return recipe["steps_done"] >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
+
+
 @one_thread()
 def train(
     config, out, resume=False, show=lambda steps, figures, validation=False: None, seconds_between_checkpoints=120
@@ -213,24 +219,25 @@ def train(
 
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. Raises ValueError if the checkpoint is another configuration's.
+    the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the folder has
+    another configuration's training.
     """
-    folder = output_folder(pathlib.Path(out) / f"{config.name}-{config.seed}")
+    folder = training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
+    if is_done(config, folder):
+        return folder
     keeper = _Keeper(config, folder)
     if config.algo == "bc":
-        write_json(folder / "config.json", plain(config))
         return _train_bc(config, keeper, show)
-    checkpoint = folder / "checkpoint.pkl"
-    going_on = resume and checkpoint.exists()
-    if going_on:
-        model = _load_checkpoint(checkpoint, keeper)
+    saved = read_checkpoint(folder / "checkpoint.pkl")
+    if saved:
+        model = _restore(saved, keeper)
+        show(model.num_timesteps, {})
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
-    write_json(folder / "config.json", plain(config))  # not before a checkpoint of another one is refused
     left = config.steps - model.num_timesteps
     progress = _Progress(keeper, show, seconds_between_checkpoints)
     if left > 0:
-        model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not going_on)
+        model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not saved)
         scores = keeper.validate(*export(model), model.num_timesteps)
         show(model.num_timesteps, scores, validation=True)
         _save_checkpoint(model, keeper)
@@ -243,6 +250,8 @@ def train_with_bar(config, out, resume=False):
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr) as bar:
 
         def show(steps, figures, validation=False):
+            if not figures and not bar.n:  # a checkpoint's, which took no time now
+                bar.initial = steps
             bar.n = min(steps, config.steps)
             text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
             if validation:

@@ -51,6 +51,8 @@ class PurePursuit:
         dx, dy = target[0] - x, target[1] - y
         ahead, side = math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
         bearing, distance = math.atan2(side, ahead), math.hypot(dx, dy)
+        if distance < 1e-9:  # of a path that comes back to here
+            return self.min_speed, 0.0
         if abs(bearing) > self.turn_angle:
             return 0.0, math.copysign(min(abs(bearing) / self.turn_time, self.max_yaw_rate), bearing)
         curvature = 2.0 * side / distance**2

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import geometry, physics, scene
-from macid.files import output_folder, versions, write_bytes, write_json
+from macid.files import versions, write_bytes
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
-from macid.learning.curves import plain, thin, write_curve
+from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
@@ -304,20 +304,17 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     configuration's, FloatingPointError if the training diverges.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
-    folders = [output_folder(pathlib.Path(out) / f"{each.name}-{each.seed}") for each in configs]
+    folders = [training_folder(pathlib.Path(out) / f"{each.name}-{each.seed}", each, resume) for each in configs]
     checkpoint = folders[0] / "checkpoint.pkl"
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if resume and checkpoint.exists():
-        saved = pickle.loads(checkpoint.read_bytes())
+    if saved := read_checkpoint(checkpoint):
         if saved["configs"] != configs:
-            raise ValueError(f"{checkpoint} is of another configuration: {saved['configs']}. Use another --out.")
+            raise ValueError(f"'{checkpoint}' is of {len(saved['configs'])} seeds, not {seeds}. Use another --out.")
         states = jax.tree.map(_restore, saved["states"], states)
         curves, spent = saved["curves"], saved["seconds"]
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
-    for each, folder in zip(configs, folders, strict=True):
-        write_json(folder / "config.json", plain(each))
 
     def save():
         content = {"configs": configs, "states": jax.tree.map(_keep, states), "curves": curves, "seconds": spent}

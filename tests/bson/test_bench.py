@@ -26,6 +26,13 @@ def test_training_is_measured_in_shares_of_its_time(capsys):
     assert f"{row['steps_per_s']:,.0f}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("words", [["--seconds", "0"], ["--out", "."], ["--worlds", "0"]])
+def test_what_cannot_be_measured_is_told_at_once(words, capsys):
+    assert cli.main(["bench", *words]) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and words[0] in error
+
+
 @pytest.mark.parametrize(
     ("words", "told"), [(["--train", "dqn"], "Choose among ppo, sac, tac"), (["--train", "--sensors", "none"], "leave")]
 )

@@ -14,11 +14,14 @@ import gymnasium
 from bson.agents import learned
 from bson.env import BsonEnv
 from bson.features import FEATURES, Features
+from bson.learning import train as train_module
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, select
 from bson.learning.train import TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
+from macid.files import UsageError
+from macid.learning.curves import read_checkpoint
 from macid.policy import write_network
 
 torch.set_num_threads(1)  # the networks are too small for more
@@ -175,6 +178,78 @@ def test_a_training_writes_what_can_be_evaluated_and_goes_on(algo, hyperparamete
         train(dataclasses.replace(whole, steps=512), tmp_path, resume=True)
 
 
+@pytest.mark.parametrize(
+    ("algo", "hyperparameters"), [("ppo", SMALL_PPO), ("tac", dataclasses.replace(SMALL_SAC, q=1.2))]
+)
+def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
+    keeper = train_module._Keeper(config(algo, hyperparameters), tmp_path)
+    model = hyperparameters.build(FeatureVecEnv(2, seed=0, **TASK), seed=0).learn(128)
+    keeper.curve.append({"steps": 128})
+    keeper.best = {"steps": 64}
+    train_module._save_checkpoint(model, keeper)
+    drawn = torch.rand(3), np.random.random(3)
+    fresh = train_module._Keeper(keeper.config, tmp_path)
+    restored = train_module._restore(read_checkpoint(tmp_path / "checkpoint.pkl"), fresh)
+    assert (torch.rand(3) == drawn[0]).all() and (np.random.random(3) == drawn[1]).all()
+    assert restored.num_timesteps == model.num_timesteps == 128 and restored._n_updates == model._n_updates > 0
+    assert fresh.curve == keeper.curve and fresh.best == keeper.best
+    for before, after in zip(model.policy.parameters(), restored.policy.parameters(), strict=True):
+        assert (before == after).all()
+    optimizers = [one.policy.optimizer if algo == "ppo" else one.critic.optimizer for one in (model, restored)]
+    moments = [[state["exp_avg"] for state in one.state_dict()["state"].values()] for one in optimizers]
+    assert len(moments[0]) > 0 and all((a == b).all() for a, b in zip(*moments, strict=True))
+    if algo == "tac":
+        assert restored.replay_buffer.pos == model.replay_buffer.pos > 0
+        assert (restored.replay_buffer.observations == model.replay_buffer.observations).all()
+
+
+def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
+    scores = iter([10.0, 30.0, 20.0, 5.0])
+
+    def measured(episode):
+        return dict.fromkeys(train_module._SCORES, 0.0) | {"SNS": score[0]}
+
+    score, validate = [0.0], train_module._Keeper.validate
+
+    def scored(self, *arguments):
+        score[0] = next(scores)
+        return validate(self, *arguments)
+
+    monkeypatch.setattr(train_module, "measure", measured)
+    monkeypatch.setattr(train_module._Keeper, "validate", scored)
+    whole = dataclasses.replace(config("ppo", SMALL_PPO), validate_every=64)
+    folder = train(whole, tmp_path)
+    recipe = json.loads((folder / "policy.json").read_text())
+    assert [(each["steps"], each["SNS"]) for each in recipe["validations"]] == [
+        (64, 10.0), (128, 30.0), (192, 20.0), (256, 5.0)
+    ]  # fmt: skip
+    assert recipe["from_steps"] == 128 and recipe["validation"]["SNS"] == 30.0
+
+
+def test_a_training_done_is_not_done_again_on_resume_and_anew_without(tmp_path):
+    whole = config("ppo", SMALL_PPO, steps=64)
+    folder = train(whole, tmp_path)
+    before = (folder / "policy.json").read_bytes()
+    train(whole, tmp_path, resume=True)
+    assert (folder / "policy.json").read_bytes() == before
+    (folder / "policy.json").unlink()  # as if killed before it was written
+    (folder / "checkpoint.pkl").write_bytes(b"")
+    with pytest.raises(UsageError, match="damaged"):
+        train(whole, tmp_path, resume=True)
+    train(whole, tmp_path)
+    assert json.loads((folder / "policy.json").read_text())["steps_done"] == 64
+    with pytest.raises(UsageError, match="another configuration: steps differ"):
+        train(dataclasses.replace(whole, steps=128), tmp_path)
+    assert json.loads((folder / "config.json").read_text())["steps"] == 64
+
+
+@pytest.mark.parametrize(("worlds", "per_update"), [(16, 16), (16, 8), (24, 16), (1, 4), (6, 4)])
+def test_sac_updates_as_often_as_it_says(worlds, per_update):
+    env = stable_baselines3.common.vec_env.DummyVecEnv([OnLine] * worlds)
+    model = dataclasses.replace(SMALL_SAC, steps_per_update=per_update).build(env, seed=0)
+    assert model.train_freq.frequency * worlds == per_update * model.gradient_steps
+
+
 def test_a_clone_does_what_the_better_episodes_did(tmp_path):
     rng = np.random.default_rng(0)
 
@@ -195,10 +270,21 @@ def test_a_clone_does_what_the_better_episodes_did(tmp_path):
 def test_bc_learns_from_an_expert_file(tmp_path):
     env = FeatureVecEnv(1, seed=0, **TASK)
     layers, output = export(SMALL_PPO.build(env, seed=0))
+    layers[-1] = (100 * layers[-1][0], layers[-1][1])  # whose actions are small before it has learned
     write_network(tmp_path / "expert", layers, {"output": output})
-    hyperparameters = BcConfig(expert=str(tmp_path / "expert.npz"), hidden=(16,), epochs=2)
-    folder = train(config("bc", hyperparameters, steps=100), tmp_path)
-    assert json.loads((folder / "policy.json").read_text())["validation"]["SNS"] >= 0.0
+    hyperparameters = BcConfig(expert=str(tmp_path / "expert.npz"), keep=1.0, hidden=(16,), batch=32, epochs=60)
+    whole = config("bc", hyperparameters, steps=400)
+    folder = train(whole, tmp_path)
+    expert, clone = (learned.load(str(file))() for file in (tmp_path / "expert.npz", folder / "policy.npz"))
+    x = [env.reset()]
+    for _ in range(30):
+        x.append(env.step(expert.act(x[-1]))[0])
+    x = np.concatenate(x)
+    wanted = expert.act(x)
+    assert np.square(clone.act(x) - wanted).mean() < 0.5 * np.square(wanted).mean()
+    before = (folder / "policy.json").read_bytes()
+    train(whole, tmp_path, resume=True)  # it was done
+    assert (folder / "policy.json").read_bytes() == before
 
 
 @pytest.mark.parametrize(

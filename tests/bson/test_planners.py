@@ -520,6 +520,11 @@ def test_the_follower_reaches_the_end_and_stays_near(yaw, period):
     assert commands[at_corner, 0].min() < 0.8 * follower.max_speed
 
 
+def test_a_path_that_comes_back_to_the_robot_is_no_trouble():
+    speed, rate = PurePursuit()(np.zeros(3), [(0.0, 0.0), (0.4, 0.0), (0.0, 0.0)])
+    assert np.isfinite([speed, rate]).all() and speed > 0
+
+
 def test_who_is_off_the_path_comes_back():
     poses, _ = drive(PurePursuit(), [1.0, 2.0, 0.0], CORNER)
     assert np.linalg.norm(poses[-1, :2] - CORNER[-1]) <= 0.1

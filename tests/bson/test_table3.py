@@ -12,6 +12,7 @@ pytest.importorskip("stable_baselines3")
 from bson.agents import learned
 from bson.features import FEATURES
 from bson.suites import load_suite
+from macid.learning.curves import plain
 from macid.policy import write_network
 
 _FILE = pathlib.Path(__file__).parents[2] / "tools" / "reproduce_table3.py"
@@ -24,9 +25,10 @@ def episode(sns, **more):
     return {"SNS": sns, "RC": 1.0, "Coll": 0.0, "SP": 1.0, "PE": 0.5, "success": 1.0, **more}
 
 
-def write_robot(folder, seed, validation, steps=1000):
+def write_robot(folder, seed, validation, steps=1000, config=None):
     layers = [(np.full((FEATURES, 2), 0.01 * seed, np.float32), np.zeros(2, np.float32))]
     recipe = {"seed": seed, "output": "clip", "steps_done": steps, "validation": {"SNS": validation}}
+    recipe |= plain(config) if config else {}
     folder.mkdir(parents=True)
     write_network(folder / "policy", layers, recipe)
     return folder / "policy.npz"
@@ -70,9 +72,25 @@ def test_bc_learns_from_the_ppo_of_its_seed_and_crowd(tmp_path):
 def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
     trained = []
     monkeypatch.setattr(table3, "train_with_bar", lambda config, *_, **__: trained.append(config.seed))
-    file = write_robot(tmp_path / "ppo-1", 1, 90.0)
-    write_robot(tmp_path / "ppo-2", 2, 90.0, steps=999)
-    assert table3.robot(table3.wanted("ppo", "macid", 1, 1000, tmp_path), tmp_path) == file and trained == []
-    for seed in (2, 3):  # cut short; not begun
-        table3.robot(table3.wanted("ppo", "macid", seed, 1000, tmp_path), tmp_path)
-    assert trained == [2, 3]
+    wanted = [table3.wanted("ppo", "macid", seed, 1000, tmp_path) for seed in range(5)]
+    file = write_robot(tmp_path / "ppo-1", 1, 90.0, config=wanted[1])
+    write_robot(tmp_path / "ppo-2", 2, 90.0, steps=999, config=wanted[2])
+    write_robot(tmp_path / "ppo-3", 3, 90.0, 2000, table3.wanted("ppo", "macid", 3, 2000, tmp_path))
+    assert table3.robot(wanted[1], tmp_path) == file and trained == []
+    for seed in (2, 3, 4):  # cut short; of another length; not begun
+        table3.robot(wanted[seed], tmp_path)
+    assert trained == [2, 3, 4]
+
+
+def test_an_episode_of_failed_physics_is_left_out_for_all_seeds():
+    assert table3.over_seeds([[episode(80.0), None], [episode(60.0), episode(0.0)]]) == [episode(70.0)]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--seeds", "0"], ["--steps", "inf"], ["--ship", "x", "--episodes", "3"], ["--ship", "x", "--tables", "lcf"]],
+)
+def test_a_wrong_request_is_told(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["reproduce_table3", "--out", str(tmp_path), *words])
+    assert table3.main() == 2
+    assert words[0] in capsys.readouterr().err
