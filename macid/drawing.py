@@ -36,7 +36,7 @@ _open_stages = weakref.WeakSet()  # to be closed before the graphics library goe
 _gl_process = None  # the process in which OpenGL first drew
 
 
-class Unavailable(UsageError):
+class Unavailable(UsageError, RuntimeError):
     """This machine can't draw; the message says why and how to mend it."""
 
 
