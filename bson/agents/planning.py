@@ -17,10 +17,14 @@ from bson.planners import (
 )
 
 _CLEARANCE = 0.40  # kept from walls: the Jackal's circle of 0.31 m, and what a follower cuts of a corner [m]
-
-
 _NEAR = 10.0  # of way in which a path's detours are taken out: it is planned anew long before more is driven [m]
 _AHEAD, _QUIET = 4.0, 2.0  # RRT plans anew when the next 4 m of way cost more than twice their length
+
+
+def _reaching(path, length):
+    """How many points of `path` (N, 2), N >= 2, its beginning of `length` [m] has; all if it is shorter."""
+    ends = np.hypot(*np.diff(path, axis=0).T).cumsum()
+    return min(2 + int(np.searchsorted(ends, length)), len(path))
 
 
 class _Planning:
@@ -66,7 +70,7 @@ class _Planning:
             path = plan(self.planner, self._grid, start, end, cost, self._rng, config, self._known(cost))
         except NoPath:
             return  # the last path, if there is one, is better than none
-        near = 2 + int(np.searchsorted(np.hypot(*np.diff(path, axis=0).T).cumsum(), _NEAR))
+        near = _reaching(path, _NEAR)
         path = np.concatenate([shortcut(path[:near], self._grid, cost), path[near:]])
         self._path = np.concatenate([path[:-1], view.goal[None]])
 
@@ -91,9 +95,8 @@ class Rrt(_Planning):
         known = super()._known(cost)
         if known is None:
             return None
-        ends = np.hypot(*np.diff(known, axis=0).T).cumsum()
-        ahead = known[: 2 + int(np.searchsorted(ends, _AHEAD))]
-        length = ends[min(len(ahead) - 2, len(ends) - 1)]
+        ahead = known[: _reaching(known, _AHEAD)]
+        length = np.hypot(*np.diff(ahead, axis=0).T).sum()
         return known if path_cost(ahead, self._grid, cost) <= _QUIET * length else None
 
 
