@@ -4,8 +4,8 @@
 
 Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
 figure2.png and figure2.csv. Policies that are not in the folder are trained to OUT/runs; each evaluation is kept in
-OUT/rows; so a stopped run goes on where it was. A method's figures are the mean over its seeds and their standard
-deviation.
+OUT/rows; so a stopped run goes on where it was. A method's figures are the mean over its seeds and their (sample)
+standard deviation.
 """
 
 import argparse
@@ -29,8 +29,9 @@ from macid.state import PHYSICS_STEP
 COLUMNS = ("SR10", "CP", "PE")
 WALKING = ("arrived", "dv", "dw", "stalled")
 PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is no multiple of the physics step
-SEEDS, BUDGET = 3, 30e6  # of each training
+BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
+SEEDS, OTHERS_SEEDS = 7, 3  # of each method; of other hyperparameters and periods
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
@@ -52,13 +53,17 @@ PAPER_TABLE_1 = (
 )
 
 
-def wanted(agent_steps):
-    """The trainings, but for their seeds, that the tables are made of: [TrainConfig, ...]."""
+def wanted(agent_steps, seeds=None):
+    """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
     others = [TrainConfig(method="ipo", ppo=PRESETS["paper-ppo"])]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
-    budgets = [(usual + others, agent_steps), (slower, int(SLOWER * agent_steps))]
-    return [replace(config, agent_steps=steps) for configs, steps in budgets for config in configs]
+    groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
+    return {
+        replace(config, agent_steps=int(share * agent_steps)): seeds or count
+        for configs, count, share in groups
+        for config in configs
+    }
 
 
 def find_policies(*folders):
@@ -70,9 +75,14 @@ def find_policies(*folders):
     return found
 
 
-def train_missing(configs, found, seeds, folder):
-    """Trains those of `configs` of which `found` lacks one of the first `seeds` seeds."""
-    todo = [replace(c, seed=seed) for c in configs for seed in range(seeds) if seed not in found.get(c.name, {})]
+def train_missing(configs, found, folder):
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds."""
+    todo = [
+        replace(config, seed=seed)
+        for config, seeds in configs.items()
+        for seed in range(seeds)
+        if seed not in found.get(config.name, {})
+    ]
     for number, config in enumerate(todo, start=1):
         print(f"training {number} of {len(todo)}: {config.name}, seed {config.seed}", file=sys.stderr, flush=True)
         train(config, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
@@ -110,7 +120,7 @@ def over_seeds(rows_by_seed, columns=COLUMNS):
     values = np.array(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
-    return np.nanmean(values, axis=0), np.nanstd(values, axis=0) if len(values) > 1 else None
+    return np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1) if len(values) > 1 else None
 
 
 def line(label, mean, std=None):
@@ -155,9 +165,11 @@ def run(args):
     """Makes the tables; returns the exit code."""
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
-    configs = wanted(int(args.agent_steps))
+    if (args.seeds is not None and args.seeds < 1) or args.episodes < 1 or not 1 <= args.agent_steps < 1e12:
+        raise UsageError("--seeds, --episodes and --agent-steps must be at least 1.")
+    configs = wanted(args.agent_steps, args.seeds)
     if not args.no_train:
-        train_missing(configs, find_policies(args.policies, runs), args.seeds, runs)
+        train_missing(configs, find_policies(args.policies, runs), runs)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
         for name, by_seed in find_policies(args.policies, runs).items()
@@ -235,7 +247,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policies", default="assets/policies", help="folder with .npz and .json files")
     parser.add_argument(
-        "--seeds", type=int, default=SEEDS, help=f"a model, of those that are trained (default {SEEDS})"
+        "--seeds", type=int, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
     )
     parser.add_argument(
         "--agent-steps",
