@@ -41,7 +41,7 @@ def read_checkpoint(path):
     path = pathlib.Path(path)
     try:
         return pickle.loads(path.read_bytes()) if path.exists() else None
-    except (EOFError, pickle.UnpicklingError, AttributeError, ImportError) as error:
+    except (EOFError, pickle.UnpicklingError, AttributeError, ImportError, TypeError) as error:
         raise UsageError(f"'{path}' is damaged or of another version ({error!r}): leave --resume out.") from None
 
 

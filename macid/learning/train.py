@@ -79,6 +79,8 @@ class Walk(NamedTuple):
     physics: Any
     goals: Any
     lcf: Any
+    reached: Any  #: goals, in this episode so far
+    contact: Any  #: steps of 0.02 s, in this episode so far
 
 
 class TrainState(NamedTuple):
@@ -88,12 +90,25 @@ class TrainState(NamedTuple):
     optimizer: Any
     meta: Any  #: CoPO's distribution of LCFs; None in other methods
     walk: Walk
+    figures: Any  #: of the last whole episode, or of the first so far: {name: scalar}
     key: Any
     iteration: Any
 
 
 # Seeds trained at once lie along a leading axis of all but the iteration, which they share.
-_SEEDS = TrainState(0, 0, 0, 0, 0, None)
+_SEEDS = TrainState(0, 0, 0, 0, 0, 0, None)
+
+
+def _figures(walk):
+    """What the progress tells of an episode, over all people: SR10 [%], who reached a goal with fewer than 10 steps in
+    contact; CP, steps in contact a person; arrived [%], who reached a goal; goals, reached by a person."""
+    arrived = walk.reached > 0
+    return {
+        "SR10": 100.0 * jnp.mean(arrived & (walk.contact < 10)),
+        "CP": jnp.mean(walk.contact * 1.0),
+        "arrived": 100.0 * jnp.mean(arrived),
+        "goals": jnp.mean(walk.reached * 1.0),
+    }
 
 
 class Trainer:
@@ -137,7 +152,8 @@ class Trainer:
         )
         meta = copo.init() if self.method.meta else None
         walk = self._begin_jitted(key_walk, meta)
-        return TrainState(parameters, self.optimizer.init(parameters), meta, walk, key, jnp.zeros((), jnp.int32))
+        zero = jnp.zeros((), jnp.int32)
+        return TrainState(parameters, self.optimizer.init(parameters), meta, walk, _figures(walk), key, zero)
 
     def init_seeds(self, seeds):
         """The TrainStates of `seeds`, stacked."""
@@ -186,7 +202,8 @@ class Trainer:
         else:
             low, high = self.method.lcf
             lcf = jax.random.uniform(key_lcf, shape, minval=low, maxval=high)
-        return Walk(self.engine.init(self._starts[crowd], yaw), self._goals[crowd], lcf)
+        none = jnp.zeros(shape, jnp.int32)
+        return Walk(self.engine.init(self._starts[crowd], yaw), self._goals[crowd], lcf, none, none)
 
     def _new_goals(self, key, position):
         """A goal for each of `position` (nworld, K, 2), in free space and at a fitting distance."""
@@ -247,20 +264,27 @@ class Trainer:
         start = (walk.physics, self.engine.read(walk.physics), walk.goals)
         (state, crowd, goals), steps = jax.lax.scan(one, start, keys[:-1])
         last = act(crowd, goals, keys[-1])[1]
-        return Walk(state, goals, walk.lcf), steps, last
+        reached, contact = (jnp.sum(steps[name], axis=0, dtype=jnp.int32) for name in ("arrived", "contact"))
+        return Walk(state, goals, walk.lcf, walk.reached + reached, walk.contact + contact), steps, last
+
+    def _estimates(self, parameters, steps, last):
+        """{critic: (advantages, returns)} of a rollout's transitions, each (T, nworld, K)."""
+        ppo, estimates = self.config.ppo, {}
+        for name in self.method.critics:
+            reward, gamma = ppo.reward_scale * steps[name], ppo.gamma
+            values, last_value = (mlp(parameters[name], seen)[..., 0] for seen in (steps["critic"], last))
+            if name == "global":  # CoPO's gamma is 1: on a stream without end, the value of what is above the mean
+                gamma, reward = 1.0, reward - jnp.mean(reward)
+            redrawn = steps["arrived"] if name == "individual" else None
+            estimates[name] = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn)
+        return estimates
 
     def _iterate(self, state: TrainState):
         """A rollout and an update: the next TrainState, and what to log (scalars)."""
         config = self.config
         key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
         walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
-        estimates = {}
-        for name in self.method.critics:
-            layers, scale = state.parameters[name], config.ppo.reward_scale
-            values, last_value = mlp(layers, steps["critic"])[..., 0], mlp(layers, last)[..., 0]
-            gamma = 1.0 if name == "global" else config.ppo.gamma
-            redrawn = steps["arrived"] if name == "individual" else None
-            estimates[name] = learning.gae(scale * steps[name], values, last_value, gamma, config.ppo.lam, redrawn)
+        estimates = self._estimates(state.parameters, steps, last)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         shared = estimates["neighborhood"][0] if "neighborhood" in estimates else 0.0
         advantage = learning.coordinated_advantage(estimates["individual"][0], shared, lcf, self.method.coordination)
@@ -280,18 +304,19 @@ class Trainer:
         if self.method.meta:
             meta = copo.update(meta, state.parameters["policy"], parameters["policy"], data, config.ppo)
         iteration = state.iteration + 1
-        walk = jax.lax.cond(iteration % config.episode == 0, lambda: self._begin(key_begin, meta), lambda: walk)
-        per_episode = 1000 * PHYSICS_STEP / (config.rollout * config.period)  # of an episode of the paper's length
+        over = iteration % config.episode == 0
+        told = over | (iteration < config.episode)
+        figures = jax.tree.map(lambda new, old: jnp.where(told, new, old), _figures(walk), state.figures)
+        walk = jax.lax.cond(over, lambda: self._begin(key_begin, meta), lambda: walk)
         log = {
+            **figures,
             "reward": jnp.mean(steps["individual"]),
-            "goals": per_episode * jnp.mean(jnp.sum(steps["arrived"], axis=0)),  # a person, in 20 s
-            "CP": per_episode * jnp.mean(jnp.sum(steps["contact"], axis=0)),
             "speed": jnp.mean((jnp.clip(steps["action"][..., 0], -1, 1) + 1) * 0.75),
             "std": jnp.mean(jnp.exp(parameters["policy"]["log_std"])),
         }
         if self.method.meta:
             log["lcf_mean"], log["lcf_std"] = copo.moments(meta.distribution)
-        return TrainState(parameters, optimizer, meta, walk, key, iteration), log
+        return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
 def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, stop_after=None):

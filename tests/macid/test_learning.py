@@ -139,6 +139,43 @@ def test_an_episode_keeps_its_lcfs_and_the_next_draws_new_ones():
     assert not np.array_equal(states[1].walk.lcf, states[2].walk.lcf)
 
 
+def test_the_progress_tells_of_whole_episodes():
+    trainer = Trainer(TINY)
+    state = trainer.init()
+    contact, reached = np.zeros((2, *state.walk.lcf.shape), np.int32)
+    contact[0], reached[:, :5] = 12, 1  # before they set out: half of them collided, five of each crowd arrived
+    state = state._replace(walk=state.walk._replace(contact=jnp.asarray(contact), reached=jnp.asarray(reached)))
+    for number in range(3):  # two make an episode; what the third has so far is not told
+        state, log = trainer.iterate(state)
+        told = [float(log[name]) for name in ("SR10", "CP", "arrived", "goals")]
+        assert told == pytest.approx([10.0, 6.0, 20.0, 0.2])
+        assert bool(state.walk.contact.any()) == (number == 0)
+
+
+def test_a_reward_for_everybody_at_all_times_does_not_count_as_global():
+    trainer = Trainer(dataclasses.replace(TINY, method="copo"))  # with gamma 1 its value would grow for ever
+    state = trainer.init()
+    _, steps, last = trainer._rollout(state.parameters, state.walk, jax.random.key(5))
+    before = trainer._estimates(state.parameters, steps, last)
+    richer = {**steps, "global": steps["global"] + 3.0, "individual": steps["individual"] + 3.0}
+    after = trainer._estimates(state.parameters, richer, last)
+    np.testing.assert_allclose(after["global"][0], before["global"][0], atol=1e-4)
+    assert (after["individual"][0] > before["individual"][0] + 0.2).all()
+
+
+def test_who_is_alone_has_a_mean_field_of_zeros():
+    trainer = Trainer(dataclasses.replace(TINY, method="mfpo"))
+    seen, x = jnp.ones((1, 3, FEATURES)), jnp.ones((1, 3, FEATURES + 1))
+    position = jnp.asarray([[[0.0, 0.0], [1.0, 0.0], [40.0, 0.0]]])
+    action = jnp.asarray([[[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]])
+    critic = trainer._critic_input(x, seen, action, position)
+    np.testing.assert_array_equal(critic[..., : FEATURES + 1], x)
+    np.testing.assert_array_equal(
+        critic[0, 0, FEATURES + 1 :], [*np.ones(FEATURES), 3.0, 4.0]
+    )  # the other's, not one's own
+    np.testing.assert_array_equal(critic[0, 2, FEATURES + 1 :], np.zeros(FEATURES + 2))
+
+
 def test_resuming_equals_not_stopping(tmp_path):
     quiet = {"show": lambda line: None}
     whole = train(TINY, tmp_path / "whole", seeds=2, **quiet)
