@@ -10,7 +10,7 @@ from macid import layout as layouts
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
-from macid.routing import Router
+from macid.routing import Router, rest_of_route
 from macid.state import PHYSICS_STEP
 
 PEDESTRIANS = 24  # the paper's, sec. VI-D
@@ -210,21 +210,23 @@ class Spawn(typing.NamedTuple):
     people_goals: np.ndarray  #: (K, 2)
     lcf: np.ndarray  #: (K,)
     models: np.ndarray  #: (K,) each person's place among the config's model_shares
+    router: Router | None  #: people's, where walls bar their view
 
 
 def spawn(config: TaskConfig, rng) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
     The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and head
-    for one of its ends, from a region for the far one. Raises macid.layout.NoFreeSpace where the map has no room, or no
-    way from a start to a goal.
+    for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in which
+    the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
     """
     if config.map is None:
         layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)
     else:
         layout = load_map(config.map)
     start, goal = _robot_ends(config, layout, rng)
-    people, people_goals = _people_ends(config, layout, rng, start)
+    router = Router(layout) if layout.routed else None
+    people, people_goals = _people_ends(config, layout, rng, start, router)
     towards = goal - start[0]
     yaw = rng.uniform(-np.pi, np.pi, (len(people), 1))
     lcf = rng.uniform(*config.lcf, len(people))
@@ -237,7 +239,16 @@ def spawn(config: TaskConfig, rng) -> Spawn:
         people_goals,
         lcf if config.lcf_each is None else np.array(config.lcf_each),
         rng.choice(len(shares), len(people), p=shares) if len(shares) > 1 else np.zeros(len(people), int),
+        router,
     )
+
+
+def stops(layout, person, place, goal):
+    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its route,
+    if the map has routes."""
+    if not layout.routes:
+        return goal[None]
+    return rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
 
 
 def _robot_ends(config, layout, rng):
@@ -262,15 +273,18 @@ def _robot_ends(config, layout, rng):
     raise failure
 
 
-def _people_ends(config, layout, rng, robot):
+def _people_ends(config, layout, rng, robot, router):
     """Where people begin (K, 2) and where they go (K, 2) [m]."""
     regions = layout.regions
+    joins = ways_checker(config, router)
     if not layout.routes:
+        region = regions.get("people_start")
+        fits = None if joins is None or region is not None else lambda places: joins(places, robot)
         people = layouts.sample_people(
-            rng, layout, config.people, taken=robot, keep_off=_START_CLEARANCE, region=regions.get("people_start")
+            rng, layout, config.people, taken=robot, keep_off=_START_CLEARANCE, region=region, fits=fits
         ).reshape(-1, 2)
         return people, layouts.sample_goals(
-            rng, layout, people, config.people_goal_distance, region=regions.get("people_goal")
+            rng, layout, people, config.people_goal_distance, region=regions.get("people_goal"), joins=joins
         )
     people, goals = np.empty((config.people, 2)), np.empty((config.people, 2))
     taken = robot
@@ -290,4 +304,15 @@ def _people_ends(config, layout, rng, robot):
             far = np.linalg.norm(people[who, None] - route[[0, -1]], axis=-1)
             end = far.argmax(axis=-1)
         goals[who] = route[end * (len(route) - 1)]
+    if joins is not None:
+        for person, (place, goal) in enumerate(zip(people, goals, strict=True)):
+            way = np.vstack([place, stops(layout, person, place, goal)])
+            if not (joined := joins(way[:-1], way[1:])).all():
+                router.path(*way[np.argmin(joined) :][:2])  # tells between what there is no way
     return people, goals
+
+
+def ways_checker(config, router):
+    """The `joins` of people's goals (macid.layout.sample_goals): their `router`'s, or None where everything is joined
+    anyhow, on an open map and in a maze."""
+    return router.joins if config.map and router is not None else None

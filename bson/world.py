@@ -16,11 +16,11 @@ import numpy as np
 
 from bson import robot
 from bson.renderer import Renderer
-from bson.task import TaskConfig, spawn
+from bson.task import TaskConfig, spawn, stops, ways_checker
 from macid import geometry, layout, physics, scene
 from macid.maps import load_map
 from macid.pedestrians import make_controller
-from macid.routing import Router, occupancy_grid, rest_of_route
+from macid.routing import occupancy_grid
 from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
 
 APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
@@ -60,13 +60,11 @@ def build_model(config: TaskConfig, sensors):
 
 def _way(layout, router, person, place, goal):
     """Waypoints (W, 2) [m] of `person` from `place` to `goal`, the goal last: along its route, if the map has routes, and
-    around obstacles, if there is a router."""
-    stops = goal[None]
-    if layout.routes:
-        stops = rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
+    around obstacles, if there is a router. Raises NoFreeSpace."""
+    passed = stops(layout, person, place, goal)
     if router is None:
-        return stops
-    return np.concatenate([router.path(*ends) for ends in zip([place, *stops[:-1]], stops, strict=True)])
+        return passed
+    return np.concatenate([router.path(*ends) for ends in zip([place, *passed[:-1]], passed, strict=True)])
 
 
 def _refuse_forked_jax():
@@ -187,21 +185,15 @@ class World:
         drawn = []
         for rng in rngs:
             s = spawn(self.config, rng)
-            router = Router(s.layout) if s.layout.routed else None
-            drawn.append(
-                (
-                    s,
-                    router,
-                    [
-                        _way(s.layout, router, person, *ends)
-                        for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
-                    ],
-                )
-            )
+            ways = [
+                _way(s.layout, s.router, person, *ends)
+                for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
+            ]
+            drawn.append((s, ways))
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        for index, seed, rng, (s, router, ways) in zip(ids, seeds, rngs, drawn, strict=True):
+        for index, seed, rng, (s, ways) in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
-            self.layouts[index], self._routers[index], self._occupancy[index] = s.layout, router, None
+            self.layouts[index], self._routers[index], self._occupancy[index] = s.layout, s.router, None
             boxes = self.boxes[index] = s.layout.boxes
             self._mocap_pos[index, :, :2] = boxes[:, :2]
             self._mocap_quat[index] = geometry.yaw_quaternion(boxes[:, 4])
@@ -227,6 +219,8 @@ class World:
         ids, command = np.asarray(ids, dtype=int)[sound], np.asarray(command)[sound]
         self._ctrl[ids[:, None], self._robot_ctrl] = robot.wheel_speeds(command, self.robot)
         for _ in range(self.config.decisions):
+            if not len(ids):  # physics failed everywhere
+                return
             if self.config.people:
                 self._command_people(ids)
             before = robot.planar_pose(self._qpos[ids, self._robot_qpos])
@@ -318,7 +312,7 @@ class World:
 
         Who finds none (crowded into a corner of a small map) stays, and asks again at the next decision.
         """
-        places, map_layout = self.people[index, who, :2], self.layouts[index]
+        places, map_layout, router = self.people[index, who, :2], self.layouts[index], self._routers[index]
         try:
             if map_layout.routes:  # back to the other end
                 ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
@@ -327,12 +321,12 @@ class World:
                 ]
             else:
                 region = map_layout.regions.get("people_goal")
-                distance = self.config.people_goal_distance
-                goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region)
+                distance, joins = self.config.people_goal_distance, ways_checker(self.config, router)
+                goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
+            ways = [_way(map_layout, router, *each) for each in zip(who, places, goals, strict=True)]
         except layout.NoFreeSpace:
             return
-        for person, place, goal in zip(who, places, goals, strict=True):
-            way = _way(map_layout, self._routers[index], person, place, goal)
+        for person, way in zip(who, ways, strict=True):
             self.people_goals[index, person], self._routes[index][person] = way[0], way[1:]
 
     def _advance_people(self, ids):

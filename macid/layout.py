@@ -26,7 +26,7 @@ VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: se
 
 
 class NoFreeSpace(ValueError):
-    """A map has no room for what was to be put on it."""
+    """A map has no room for what was to be put on it, or no way to where it is to go."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,12 +239,12 @@ def _draw(rng, number, half, region):
     return box[:, :2] + geometry.rotate(rng.uniform(-1.0, 1.0, (number, 2)) * box[:, 2:4], box[:, 4])
 
 
-def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None):
+def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None, fits=None):
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
-    which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). Returns
-    (number, 2) [m]. Raises NoFreeSpace.
+    which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). fits: tells of
+    places (M, 2) whether each will do, (M,) bool. Returns (number, 2) [m]. Raises NoFreeSpace.
     """
     boxes, half = layout.boxes, layout.size / 2 - RADIUS
     taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
@@ -259,6 +259,8 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=N
         if len(taken):
             away = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
             candidates = candidates[away >= 2 * RADIUS + gap + keep_off]
+        if fits is not None and len(candidates):
+            candidates = candidates[fits(candidates)]
         for candidate in candidates[:missing]:
             if not len(places) or np.linalg.norm(places - candidate, axis=-1).min() >= 2 * RADIUS + gap:
                 places = np.concatenate([places, candidate[None]])
@@ -270,10 +272,11 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=N
     )
 
 
-def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None):
+def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None, joins=None):
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
-    region: boxes (M, 5) in which goals lie (default: anywhere). Raises NoFreeSpace when the map has no such place.
+    region: boxes (M, 5) in which goals lie (default: anywhere). joins: tells of starts and goals (M, 2) whether there is
+    a way between each two, (M,) bool. Raises NoFreeSpace when the map has no such place.
     """
     starts = np.asarray(starts, dtype=float)
     boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap
@@ -292,11 +295,13 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=No
         if region is not None:
             apart = np.linalg.norm(drawn - starts[missing], axis=-1)
             good &= (apart >= distance[0]) & (apart <= distance[1])
+        if joins is not None and good.any():
+            good[good] = joins(starts[missing[good]], drawn[good])
         goals[missing[good]] = drawn[good]
         missing = missing[~good]
     if not len(missing):
         return goals
     raise NoFreeSpace(
-        f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal {distance[0]:g} to {distance[1]:g} m "
-        f"from {np.round(starts[missing[0]], 2).tolist()}."
+        f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal that can be reached "
+        f"{distance[0]:g} to {distance[1]:g} m from {np.round(starts[missing[0]], 2).tolist()}."
     )

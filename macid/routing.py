@@ -3,10 +3,11 @@
 import functools
 
 import numpy as np
-from scipy import sparse
+from scipy import sparse, spatial
 from scipy.sparse import csgraph
 
 from macid import geometry
+from macid.layout import NoFreeSpace
 from macid.state import RADIUS
 
 RESOLUTION = 0.5  # side of a grid cell [m]
@@ -72,23 +73,39 @@ class Router:
         edges = (np.concatenate(lengths), (np.concatenate(sources), np.concatenate(targets)))
         graph = sparse.coo_matrix(edges, shape=(len(rows),) * 2).tocsr()
         centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
+        if not len(centres):
+            raise NoFreeSpace(f"Map '{self.layout.name}' has no free cell.")
         return centres, graph
+
+    @functools.cached_property
+    def _nearest(self):
+        """A tree of the free cells' centres, and the connected part of the map that each belongs to."""
+        centres, graph = self._grid
+        return spatial.cKDTree(centres), csgraph.connected_components(graph, directed=False)[1]
+
+    def joins(self, starts, goals):
+        """Whether there is a way from each of `starts` (N, 2) to its of `goals` (N, 2): (N,) bool. Where this holds, `path`
+        finds one."""
+        starts, goals = np.broadcast_arrays(np.asarray(starts, dtype=float), np.asarray(goals, dtype=float))
+        tree, parts = self._nearest
+        joined = parts[tree.query(starts)[1]] == parts[tree.query(goals)[1]]
+        for row in np.flatnonzero(~joined):
+            joined[row] = lines_are_free(starts[row], goals[row, None], self._boxes, self.radius)[0]
+        return joined
 
     def path(self, start, goal):
         """Waypoints (W, 2) [m] from `start` (2,) to `goal` (2,), the goal last, pulled straight where the view is free.
 
-        Raises ValueError when the goal can't be reached.
+        Raises macid.layout.NoFreeSpace when the goal can't be reached.
         """
         start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
         if lines_are_free(start, goal[None], self._boxes, self.radius)[0]:
             return goal[None]
         centres, graph = self._grid
-        if not len(centres):
-            raise ValueError(f"Map '{self.layout.name}' has no free cell.")
-        first, last = (int(np.argmin(((centres - p) ** 2).sum(axis=-1))) for p in (start, goal))
+        first, last = self._nearest[0].query([start, goal])[1]
         lengths, before = csgraph.dijkstra(graph, directed=False, indices=last, return_predecessors=True)
         if not np.isfinite(lengths[first]):
-            raise ValueError(
+            raise NoFreeSpace(
                 f"Map '{self.layout.name}': no way from {np.round(start, 2).tolist()} to {np.round(goal, 2).tolist()}."
             )
         path = []

@@ -120,6 +120,31 @@ def test_a_goal_that_cannot_be_reached_is_told(tmp_path):
         )
 
 
+ROOM = "size = 24.0\nwalls = [[-4, -4, 4, -4], [4, -4, 4, 4], [4, 4, -4, 4], [-4, 4, -4, -4]]\n"
+
+
+def test_people_keep_to_the_part_of_the_map_that_they_can_reach(tmp_path):
+    (tmp_path / "room.toml").write_text(ROOM)
+    config = TaskConfig(map=str(tmp_path / "room.toml"), num_pedestrians=30, goal_distance=(8.0, 20.0))
+    for seed in range(10):
+        drawn = spawn(config, np.random.default_rng(seed))
+        places = np.concatenate([drawn.people[:, :2], drawn.people_goals, drawn.robot[None, :2], drawn.goal[None]])
+        assert (np.abs(places).max(axis=-1) > 4).all()  # the room is too small for the robot's way
+
+
+def test_people_who_cannot_reach_their_goal_are_told(tmp_path):
+    (tmp_path / "room.toml").write_text(
+        ROOM + "[regions]\npeople_start = [[0, 0, 3, 3, 0]]\npeople_goal = [[10, 0, 1, 8, 0]]\n"
+    )
+    (tmp_path / "route.toml").write_text(ROOM + "routes = [[[-10, 0], [10, 0]]]\n")
+    for name, message in (("room", "no free goal that can be reached"), ("route", "no way from")):
+        config = TaskConfig(map=str(tmp_path / f"{name}.toml"), num_pedestrians=4, goal_distance=(8.0, 20.0))
+        if name == "route":  # people begin beside it, also in the room
+            config = config.replace(num_pedestrians=25)
+        with pytest.raises(NoFreeSpace, match=message):
+            spawn(config, np.random.default_rng(0))
+
+
 def test_models_are_mixed_by_their_shares():
     config = TaskConfig(num_pedestrians=400, pedestrian_model={"orca": 3, "social-force": 1})
     assert config.model_shares == {"orca": 0.75, "social-force": 0.25}

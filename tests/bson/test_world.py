@@ -332,6 +332,17 @@ def test_failed_physics_is_named_and_stays_in_its_world(calm, field, place, valu
     assert world.fault[0] == "" and np.array_equal(world.qpos[0], expected[4])
 
 
+@pytest.mark.parametrize("period", [0.02, 0.1])
+def test_physics_that_fails_everywhere_is_named(period, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings there
+    world = World(TaskConfig(num_pedestrians=2, map_size=20.0, goal_distance=(6, 15), pedestrian_period=period))
+    world.reset([0], [1])
+    world._qvel[0, 0] = 1e9
+    for _ in range(2):
+        world.step([0], np.ones((1, 2)))
+        assert world.fault[0] and world.steps[0] == 0
+
+
 def test_a_world_without_its_robot_has_the_same_people_who_see_none():
     config = TaskConfig(num_pedestrians=4, map_size=20.0, goal_distance=(6, 15))
     with_one, without = World(config), World(config, with_robot=False)
