@@ -1,5 +1,12 @@
 """BSON: a benchmark for socially-aware robot navigation among pedestrians of every temper, on MuJoCo."""
 
-from bson.env import register as _register
+import gymnasium as _gymnasium
 
-_register()
+ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
+    f"BSON/{track.capitalize()}{name}-v0": {"track": track, "sensor": name.lower()}
+    for track in ("local", "global")
+    for name in ("Lidar2D", "Lidar3D", "Camera")
+}
+
+for _id, _kwargs in ENVIRONMENTS.items():  # by name: MuJoCo and JAX are loaded when one is made
+    _gymnasium.register(_id, "bson.env:BsonEnv", vector_entry_point="bson.env:BsonVectorEnv", kwargs=_kwargs)

@@ -9,7 +9,7 @@ import pathlib
 import shlex
 import sys
 
-from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
+from macid.files import HelpFormatter, UsageError, output_folder, run_command, write_bytes, write_json
 
 
 def _track_names(args, make_agent):
@@ -138,9 +138,9 @@ def _evaluate(args):
     from bson.agents import load_agent
     from bson.evaluate import format_summary, results, sound
     from bson.report import make_report
-    from bson.resume import Unfinished, basis
+    from bson.resume import Unfinished, basis, files_digest
     from bson.suites import load_suite
-    from bson.tracks import make_track
+    from bson.tracks import make_track, sensor_label, sensor_settings
 
     suite = load_suite(args.suite)
     seeds = suite.drawn(args.episodes, args.seed)
@@ -168,7 +168,9 @@ def _evaluate(args):
         cells,
         played,
         suite_digest=suite.digest if not changes else None,
-        track=list(track_names),
+        task_digest=files_digest(follows_from),
+        track=[track_names[0], sensor_label(track_names[1])],
+        sensors=sensor_settings(track.sensors),
         paired=args.paired,
         overrides={key: str(value) for key, value in changes.items()},
         frozen_seeds=args.seed == 0,
@@ -316,8 +318,8 @@ def _doctor(args):
 
 
 def _list(args):
+    from bson import ENVIRONMENTS
     from bson.agents import agent_names
-    from bson.env import ENVIRONMENTS
     from bson.robot import robot_names
     from bson.suites import load_suite, suite_names
     from macid.maps import map_names
@@ -377,7 +379,7 @@ def _add_evaluation(command, out, suite):
 
 def parser():
     """The command's parser."""
-    defaults = {"formatter_class": argparse.ArgumentDefaultsHelpFormatter}
+    defaults = {"formatter_class": HelpFormatter}
     root = argparse.ArgumentParser(prog="bson", description="A benchmark for robots that drive among people.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
 

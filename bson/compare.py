@@ -80,6 +80,12 @@ def check_comparable(runs):
                         f"Can't compare '{first.source}' and '{run.source}': {field} is {config.get(field)} against "
                         f"{value} in cell '{cell}'."
                     )
+        ours, theirs = (each.content.get("task_digest") for each in (first, run))
+        if ours and theirs and ours != theirs:
+            raise ValueError(
+                f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights changed in "
+                "between, under the same name. Evaluate again."
+            )
 
 
 def _setting(value):

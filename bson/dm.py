@@ -13,7 +13,7 @@ from dm_control.mujoco import Physics
 from dm_control.mujoco.wrapper.core import MjModel
 from dm_env import specs
 
-from bson.env import ACTION_SPACE, _first
+from bson.env import ACTION_SPACE, check_seed, first
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
@@ -35,6 +35,7 @@ class Environment(dm_env.Environment):
     """
 
     def __init__(self, config: TaskConfig, track, seed=None):
+        check_seed(seed)
         self._session, self._track, self._seed = Session(config, track, seeds=[seed]), track, seed
         self._over = True
         world = self._session.world
@@ -53,7 +54,7 @@ class Environment(dm_env.Environment):
         self._seed, self._over = None, False
         observation = self._session.reset([0], [seed])
         self._mirror()
-        return dm_env.restart(_first(observation))
+        return dm_env.restart(first(observation))
 
     def step(self, action):
         """One control step under `action` (2,) in [-1, 1]; after an episode's last step, the next episode's first."""
@@ -65,7 +66,7 @@ class Environment(dm_env.Environment):
         self._mirror()
         self._over = bool(terminated[0] or truncated[0])
         end = dm_env.termination if terminated[0] else dm_env.truncation if truncated[0] else dm_env.transition
-        return end(float(reward[0]), _first(observation))
+        return end(float(reward[0]), first(observation))
 
     def observation_spec(self):
         """A dict of BoundedArrays."""

@@ -6,7 +6,7 @@ from gymnasium.vector import AutoresetMode
 
 from bson.session import Recorder, Session
 from bson.task import TaskConfig
-from bson.tracks import SENSORS, TRACKS, make_track
+from bson.tracks import make_track
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -26,7 +26,8 @@ def _checked_action(action, shape):
     return action
 
 
-def _check_seed(seed):
+def check_seed(seed):
+    """Raises ValueError for what is no seed, or list of seeds, of an episode."""
     seeds = [] if seed is None else np.ravel(np.array(seed, dtype=object))
     for one in seeds:
         if one is not None and not (isinstance(one, (int, np.integer)) and 0 <= one < 2**62):
@@ -109,6 +110,7 @@ class BsonEnv(gymnasium.Env):
 
     def __init__(self, track="local", sensor="lidar2d", render_mode=None, seed=None, **config):
         _check_render_mode(render_mode)
+        check_seed(seed)
         self.render_mode = render_mode
         self.config = TaskConfig().replace(**config)
         self._track = make_track(track, sensor)
@@ -125,7 +127,7 @@ class BsonEnv(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         """Begins an episode; see the class."""
-        _check_seed(seed)
+        check_seed(seed)
         super().reset(seed=seed)
         self._session.configure(_episode_config(self.config, self._track, _episode_options(options)))
         seed = self._first_seed if seed is None else seed
@@ -137,7 +139,7 @@ class BsonEnv(gymnasium.Env):
         observation = self._session.reset([0], [seed])
         if self.render_mode is not None:
             self._recorder, self._film = Recorder(self._session, 0), None
-        return _first(observation), self._info()
+        return first(observation), self._info()
 
     def step(self, action):
         """One control step; see the class."""
@@ -145,7 +147,7 @@ class BsonEnv(gymnasium.Env):
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         if self.render_mode is not None:
             self._recorder.snap()
-        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+        return first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
     def render(self):
         """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
@@ -186,6 +188,7 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}.")
+        check_seed(seed)
         self.num_envs, self.render_mode = num_envs, None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -216,7 +219,7 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
         options = _episode_options(options)
         mask = options.pop("reset_mask", None)
-        _check_seed(seed)
+        check_seed(seed)
         if mask is None:
             ids = self._all
             self._session.configure(_episode_config(self.config, self._session.track, options))
@@ -285,24 +288,6 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         }
 
 
-def _first(observation):
+def first(observation):
+    """The observation of the first world, of a batch's."""
     return {name: value[0] for name, value in observation.items()}
-
-
-_IN_ID = {"lidar2d": "Lidar2D", "lidar3d": "Lidar3D", "camera": "Camera"}
-ENVIRONMENTS = {
-    f"BSON/{track.capitalize()}{_IN_ID[sensor]}-v0": {"track": track, "sensor": sensor}
-    for track in sorted(TRACKS, reverse=True)
-    for sensor in SENSORS
-}
-
-
-def register():
-    """Makes the environments known to Gymnasium."""
-    for name, kwargs in ENVIRONMENTS.items():
-        gymnasium.register(
-            name,
-            entry_point="bson.env:BsonEnv",
-            vector_entry_point="bson.env:BsonVectorEnv",
-            kwargs=kwargs,
-        )

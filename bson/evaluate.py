@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bson.agents import act
-from bson.metrics import METRICS, measure, summarise
+from bson.metrics import METRICS, effects, measure, summarise
 from bson.session import Recorder, Session
 from bson.world import World
 from macid import files
@@ -134,6 +134,7 @@ def results(agent, suite, cells, played, **more):
                 "seed": episode.seed,
                 "cell": cell.name,
                 **{name: value if math.isfinite(value) else None for name, value in row.items()},
+                **_each_person(episode),
             }
             for cell, episodes, rows in zip(cells, played, measured, strict=True)
             for episode, row in zip(episodes, rows, strict=True)
@@ -141,6 +142,16 @@ def results(agent, suite, cells, played, **more):
         "faults": faults,
         **more,
     }
+
+
+def _each_person(episode):
+    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {} without
+    a pair."""
+    people = {
+        name: [round(float(value), 4) if math.isfinite(value) else None for value in values]
+        for name, values in effects(episode).items()
+    }
+    return {"people": people} if people else {}
 
 
 def sound(episodes):

@@ -150,38 +150,37 @@ def _met(episode):
     return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
 
 
-def _over_people(values, who):
-    """Mean of `values` (K,) over the people `who` (K,) bool; infinity where there are none."""
-    return float(values[who].mean()) if who.any() else np.inf
+def effects(episode):
+    """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
+    others; {} without a pair.
 
-
-def delay(episode):
-    """How much later [s] people whom the robot met on their way reach their first goal than without it. Who gets there in
-    one run only counts as there at the other's end, who does in neither not at all. Infinity without a pair."""
+    delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as there
+    at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what brings
+    them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
+    """
     if episode.people_alone is None:
-        return np.inf
-    (step, _), (alone, _) = (_first_ways(p, episode.people_goals) for p in (episode.people, episode.people_alone))
-    there = np.minimum(step, alone) < len(episode.people) - 1
-    return _over_people((step - alone) * episode.period, _met(episode) & there)
-
-
-def detour(episode):
-    """How much farther [m] people whom the robot met on their way to the first goal walk than without it, beyond what
-    brings them closer. Infinity without a pair."""
-    if episode.people_alone is None:
-        return np.inf
-    (_, way), (_, alone) = (_first_ways(p, episode.people_goals) for p in (episode.people, episode.people_alone))
-    return _over_people(way - alone, _met(episode))
-
-
-def added_contact(episode):
-    """How much longer [s] people whom the robot met touch other people than without it, over the whole episode. Infinity
-    without a pair."""
-    if episode.people_alone is None:
-        return np.inf
+        return {}
+    both = episode.people, episode.people_alone
+    (step, way), (step_alone, way_alone) = (_first_ways(people, episode.people_goals) for people in both)
     met = _met(episode)
-    steps = _contacts(episode.people, met) - _contacts(episode.people_alone, met)
-    return _over_people(steps * episode.period, met)
+    contacts, contacts_alone = (_contacts(people, met) for people in both)
+    there = np.minimum(step, step_alone) < len(episode.people) - 1
+    return {
+        "delay": np.where(met & there, (step - step_alone) * episode.period, np.nan),
+        "detour": np.where(met, way - way_alone, np.nan),
+        "added_contact": np.where(met, (contacts - contacts_alone) * episode.period, np.nan),
+    }
+
+
+def _effect(name):
+    """The mean of the effect `name` over whom it was on; infinity where there is nobody, or no pair."""
+
+    def mean(episode):
+        values = effects(episode).get(name, np.empty(0))
+        on = np.isfinite(values)
+        return float(values[on].mean()) if on.any() else np.inf
+
+    return mean
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,13 +258,13 @@ METRICS = (
     Metric("speed_min", "efficiency", "m/s", "", lambda e: _over(np.min, _speed(e)), "least speed", minor=True),
     Metric("speed_max", "efficiency", "m/s", "", lambda e: _over(np.max, _speed(e)), "greatest speed", minor=True),
 
-    Metric("delay", "others", "s", "down", delay,
+    Metric("delay", "others", "s", "down", _effect("delay"),
            "how much later people reach their first goal than without the robot (with --paired): mean over those whom it "
            "came within 3.6 m of on their way there, and who get there"),
-    Metric("detour", "others", "m", "down", detour,
+    Metric("detour", "others", "m", "down", _effect("detour"),
            "how much farther people walk to their first goal than without the robot, beyond what brings them closer: "
            "mean over those whom it came within 3.6 m of on their way there"),
-    Metric("added_contact", "others", "s", "down", added_contact,
+    Metric("added_contact", "others", "s", "down", _effect("added_contact"),
            "how much longer people are within 0.01 m of other people (at control steps) than without the robot: mean "
            "over those whom it came within 3.6 m of on the way to their first goal"),
 )

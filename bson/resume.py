@@ -11,6 +11,7 @@ import numpy as np
 
 from bson.evaluate import versions
 from bson.metrics import Episode
+from bson.tracks import make_track, sensor_settings
 from macid import assets
 from macid.files import UsageError, output_folder, write_bytes, write_json
 from macid.pedestrians import MODELS
@@ -25,6 +26,12 @@ def _digest(contents):
     return digest.hexdigest()[:12]
 
 
+def files_digest(basis):
+    """A hash of the settings, maps, robots and pedestrians' weights that results with this `basis` are of."""
+    content = json.dumps([basis["cells"], basis["pedestrians"]], sort_keys=True)
+    return _digest([content.encode()])
+
+
 def _agent_files(name):
     """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
     module, colon, _ = name.rpartition(":")
@@ -37,13 +44,13 @@ def _agent_files(name):
 def basis(agent, track, cells, paired):
     """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
 
-    agent: its name; track: its names of track and sensor.
+    agent: its name; track: what `make_track` is given, track and sensor.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
     policies = [load_policy(name) for name in sorted(models - set(MODELS))]
     content = {
         "agent": [agent, _digest(file.read_bytes() for file in _agent_files(agent))],
-        "track": track,
+        "track": [track[0], track[1] if isinstance(track[1], str) else sensor_settings(make_track(*track).sensors)],
         "paired": paired,
         "cells": [cell.content for cell in cells],
         "pedestrians": _digest(

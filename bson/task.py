@@ -11,7 +11,7 @@ from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
 from macid.routing import Router, rest_of_route
-from macid.state import PHYSICS_STEP
+from macid.state import MAX_LCF, PHYSICS_STEP
 
 PEDESTRIANS = 24  # the paper's, sec. VI-D
 MAX_PEDESTRIANS = 2000
@@ -47,6 +47,8 @@ class TaskConfig:
         from macid.pedestrians import make_controller
 
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
+        if max(map(abs, self.lcf)) > MAX_LCF:
+            raise ValueError(f"lcf must lie in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
         object.__setattr__(self, "goal_distance", _pair("goal_distance", self.goal_distance))
         if self.num_pedestrians is not None and self.pedestrian_density is not None:
             raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
@@ -55,7 +57,10 @@ class TaskConfig:
                 raise ValueError(f"map must be a name or a file, not {self.map!r}.")
             if self.obstacle_density:
                 raise ValueError(f"Map '{self.map}' has its own obstacles: leave obstacle_density at 0.")
-            object.__setattr__(self, "map_size", load_map(self.map).size)
+            size = load_map(self.map).size
+            if self.map_size not in (size, MAP_SIZE):
+                raise ValueError(f"Map '{self.map}' has a size of its own, {size:g} m: leave map_size out.")
+            object.__setattr__(self, "map_size", size)
         count = self.num_pedestrians
         if count is not None and not (_is_whole(count) and 0 <= count <= MAX_PEDESTRIANS):
             raise ValueError(
@@ -134,6 +139,8 @@ class TaskConfig:
             changes = {"pedestrian_density": None, **changes}
         elif changes.get("pedestrian_density") is not None:
             changes = {"num_pedestrians": None, **changes}
+        if self.map is not None and "map" in changes:  # its size went with it
+            changes = {"map_size": MAP_SIZE, **changes}
         return dataclasses.replace(self, **changes)
 
 
@@ -180,8 +187,8 @@ def _each(values, people):
         values = tuple(float(value) for value in values)
     except (TypeError, ValueError):
         values = ()
-    if len(values) != people or not np.isfinite(values).all():
-        raise ValueError(f"lcf_each must be {people} numbers, one for each pedestrian.")
+    if len(values) != people or not all(abs(value) <= MAX_LCF for value in values):
+        raise ValueError(f"lcf_each must be {people} numbers in [-{MAX_LCF:g}, {MAX_LCF:g}], one for each pedestrian.")
     return values
 
 

@@ -100,6 +100,16 @@ def make_track(track, sensor):
     return TRACKS[track](_sensors(sensor))
 
 
+def sensor_label(sensor):
+    """What `make_track` was given as `sensor`, for people to read: its name, or the kinds of one's own."""
+    return sensor if isinstance(sensor, str) else " + ".join(type(one).__name__ for one in _sensors(sensor))
+
+
+def sensor_settings(sensors):
+    """Sensors' configurations as JSON has them: [{"kind": ..., field: value, ...}, ...]."""
+    return [{"kind": type(one).__name__, **dataclasses.asdict(one)} for one in sensors]
+
+
 def _sensors(chosen):
     if isinstance(chosen, str) and chosen in SENSORS:
         return SENSORS[chosen]

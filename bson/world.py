@@ -67,6 +67,33 @@ def _way(layout, router, person, place, goal):
     return np.concatenate([router.path(*ends) for ends in zip([place, *passed[:-1]], passed, strict=True)])
 
 
+@functools.lru_cache(32)
+def _decision(k, controllers):
+    """The decision of the `k` pedestrians of one world, by `controllers`, jitted; the robot is one more disc, last in the
+    state. Worlds of one sort share it: compiling takes longer than all else that makes a World."""
+
+    def decide(packed, boxes):
+        pose, rate, robot_row, goals, lcf, models = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k, k]))
+        pose, rate = pose.reshape(k, 3), rate.reshape(k, 3)
+        position = jnp.concatenate([pose[:, :2], robot_row[None, :2]])
+        state = CrowdState(
+            position,
+            jnp.append(pose[:, 2], robot_row[2]),
+            jnp.concatenate([rate[:, :2], robot_row[None, 3:5]]),
+            jnp.append(rate[:, 2], robot_row[5]),
+            physics.touching(position, boxes),
+        )
+        ahead = position[-1:] + robot_row[None, 3:5]  # where the robot wants to go, as far as people can tell
+        goals = jnp.concatenate([goals.reshape(k, 2), ahead])
+        commands = [controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k] for controller in controllers]
+        command = commands[0]
+        for number, other in enumerate(commands[1:], start=1):
+            command = jnp.where((models == number)[:, None], other, command)
+        return command.ravel()
+
+    return jax.jit(decide)
+
+
 def _refuse_forked_jax():
     """Raises RuntimeError in a process that was forked after JAX began its threads: it would wait for ever."""
     global _jax_process
@@ -139,8 +166,8 @@ class World:
         self.readings = {
             sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self.sensors
         }
-        controllers = [make_controller(name, config.decision_period) for name in config.model_shares]
-        self._decide = self._compile_decision(controllers)
+        controllers = tuple(make_controller(name, config.decision_period) for name in config.model_shares)
+        self._decide = _decision(k, controllers)
 
     @functools.cached_property
     def renderer(self):
@@ -268,31 +295,6 @@ class World:
         """Gives a world its fault, and its last finite configuration back, at rest."""
         self.fault[index] = what
         self._qpos[index], self._qvel[index] = self._last_qpos[index], 0.0
-
-    def _compile_decision(self, controllers):
-        """The pedestrians' decision in one world, jitted; the robot is one more disc, last in the state."""
-        k = self.config.people
-
-        def decide(packed, boxes):
-            pose, rate, robot_row, goals, lcf, models = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k, k]))
-            pose, rate = pose.reshape(k, 3), rate.reshape(k, 3)
-            position = jnp.concatenate([pose[:, :2], robot_row[None, :2]])
-            state = CrowdState(
-                position,
-                jnp.append(pose[:, 2], robot_row[2]),
-                jnp.concatenate([rate[:, :2], robot_row[None, 3:5]]),
-                jnp.append(rate[:, 2], robot_row[5]),
-                physics.touching(position, boxes),
-            )
-            ahead = position[-1:] + robot_row[None, 3:5]  # where the robot wants to go, as far as people can tell
-            goals = jnp.concatenate([goals.reshape(k, 2), ahead])
-            commands = [controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k] for controller in controllers]
-            command = commands[0]
-            for number, other in enumerate(commands[1:], start=1):
-                command = jnp.where((models == number)[:, None], other, command)
-            return command.ravel()
-
-        return jax.jit(decide)
 
     def _command_people(self, ids):
         """Lets the people of the worlds `ids` decide. The calls overlap: JAX runs them while the next is packed."""

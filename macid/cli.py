@@ -4,7 +4,7 @@ import argparse
 import pathlib
 import sys
 
-from macid.files import UsageError, output_folder, run_command, write_json
+from macid.files import HelpFormatter, UsageError, output_folder, run_command, write_json
 
 
 def _level(text):
@@ -13,22 +13,23 @@ def _level(text):
 
 def _evaluate(args):
     from macid.crowd import CrowdConfig
-    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf
+    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf, usual_period
     from macid.layout import load_level
-    from macid.pedestrians import make_controller
 
-    make_controller(args.pedestrian, args.period)  # a wrong name is told before anything runs
+    period = usual_period(args.pedestrian) if args.period is None else args.period
     for level in args.levels:
         load_level(level)
     if args.episodes < 1:
         raise UsageError(f"--episodes must be at least 1, not {args.episodes}.")
     if args.seed < 0:
         raise UsageError(f"--seed must be at least 0, not {args.seed}.")
+    if args.bins and args.lcf:
+        raise UsageError("--bins has LCFs of its own: leave --lcf out.")
     if args.bins:
         ranges = lcf_bins(args.pedestrian)
     else:
         ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
-    configs = [CrowdConfig(period=args.period, lcf=lcf) for lcf in ranges]
+    configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
     out = pathlib.Path(args.out)
     if out.is_dir():
         raise UsageError(f"--out '{out}' is a folder. Name a JSON file.")
@@ -50,11 +51,10 @@ def _watch(args):
 
     from macid import drawing, watch
     from macid.crowd import CrowdConfig
-    from macid.evaluate import level_name, table_lcf
+    from macid.evaluate import level_name, table_lcf, usual_period
     from macid.layout import load_level
-    from macid.pedestrians import make_controller
 
-    make_controller(args.pedestrian, args.period)
+    period = usual_period(args.pedestrian) if args.period is None else args.period
     people = load_level(args.level).pedestrians
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
@@ -74,7 +74,7 @@ def _watch(args):
     if args.at is not None and not 0 <= args.at <= args.seconds:
         raise UsageError(f"--at must be 0 to {args.seconds:g}, the episode's length in seconds, not {args.at:g}.")
     lcf = tuple(args.lcf or table_lcf(args.pedestrian))
-    config = CrowdConfig(period=args.period, duration=args.seconds, lcf=lcf)
+    config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     output_folder(path.parent)
@@ -99,8 +99,10 @@ def _train(args):
 
     if args.seeds < 1:
         raise UsageError(f"--seeds must be at least 1, not {args.seeds}.")
-    if not args.agent_steps > 0:
-        raise UsageError(f"--agent-steps must be above 0, not {args.agent_steps}.")
+    if args.seed < 0:
+        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
+    if not 1 <= args.agent_steps < 1e12:
+        raise UsageError(f"--agent-steps must be from 1 to 1e12, not {args.agent_steps}.")
     config = TrainConfig(
         method=args.method,
         level=args.level,
@@ -125,13 +127,16 @@ def _bench(args):
 
     for level in args.levels:
         load_level(level)
-    if min(args.worlds) < 1 or not args.seconds > 0:
+    if min(args.worlds) < 1 or not 0 < args.seconds < 1e6:
         raise UsageError("--worlds must be at least 1 and --seconds above 0.")
+    if args.out:
+        output_folder(pathlib.Path(args.out).parent)
+        if pathlib.Path(args.out).is_dir():
+            raise UsageError(f"--out '{args.out}' is a folder. Name a JSON file.")
     rows = bench.run(
         args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
     )
     if args.out:
-        output_folder(pathlib.Path(args.out).parent)
         write_json(args.out, rows)
     return 0
 
@@ -143,7 +148,7 @@ def parser():
     evaluate = commands.add_parser(
         "evaluate",
         help="a pedestrian model on the paper's levels (Table II)",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     evaluate.add_argument("--pedestrian", required=True, help="a rule, a shipped policy, or a policy file (.npz)")
     evaluate.add_argument(
@@ -155,7 +160,7 @@ def parser():
     )
     evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
     evaluate.add_argument("--seed", type=int, default=0)
-    evaluate.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
+    evaluate.add_argument("--period", type=float, help="time between decisions [s] (default: the policy's own)")
     evaluate.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
@@ -164,7 +169,7 @@ def parser():
     evaluate.add_argument("--out", default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
 
-    watch = commands.add_parser("watch", help="film a crowd", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    watch = commands.add_parser("watch", help="film a crowd", formatter_class=HelpFormatter)
     watch.add_argument("--pedestrian", default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
     watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     watch.add_argument(
@@ -172,7 +177,7 @@ def parser():
     )
     watch.add_argument("--seed", type=int, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
     watch.add_argument("--seconds", type=float, default=20.0, help="of the crowd's time")
-    watch.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
+    watch.add_argument("--period", type=float, help="time between decisions [s] (default: the policy's own)")
     watch.add_argument("--speed", type=int, default=1, choices=[1, 2, 4], help="how many times as fast a film plays")
     watch.add_argument(
         "--follow", type=int, default=None, help="whose eyes to look through (default: one with far to go)"
@@ -182,12 +187,10 @@ def parser():
     watch.add_argument("--out", default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
-    train = commands.add_parser(
-        "train", help="train pedestrians by multi-agent PPO", formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid or macid-tri")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
-    train.add_argument("--level", type=int, default=2)
+    train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     train.add_argument("--seed", type=int, default=0, help="the first seed")
     train.add_argument("--seeds", type=int, default=1, help="how many, at once")
     train.add_argument("--worlds", type=int, default=16, help="crowds at once")
@@ -198,11 +201,9 @@ def parser():
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
 
-    bench = commands.add_parser(
-        "bench", help="measure agent-steps/s", formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)
     bench.add_argument("--engine", default="native", choices=["native", "mjx"])
-    bench.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4])
+    bench.add_argument("--levels", type=_level, nargs="+", default=[1, 2, 3, 4])
     bench.add_argument("--worlds", type=int, nargs="+", default=[1, 4, 16, 64])
     bench.add_argument("--seconds", type=float, default=3.0, help="a case")
     bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"])

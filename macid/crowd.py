@@ -10,7 +10,7 @@ import numpy as np
 from macid import geometry, physics, scene
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
-from macid.state import GOAL_RADIUS, PHYSICS_STEP, parking_place
+from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, parking_place, physics_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,17 +27,16 @@ class CrowdConfig:
     def __post_init__(self):
         if self.number < 1:
             raise ValueError(f"A crowd needs at least one person, not {self.number}.")
-        if not np.isfinite(self.period) or self.substeps < 1 or abs(self.substeps * PHYSICS_STEP - self.period) > 1e-9:
-            raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
+        physics_steps(self.period)
         if not self.period <= self.duration < np.inf:
             raise ValueError(f"duration must be at least the period, {self.period:g} s, not {self.duration} s.")
-        if not -np.inf < self.lcf[0] <= self.lcf[1] < np.inf:
-            raise ValueError(f"lcf must be a range (least, most), not {self.lcf}.")
+        if not -MAX_LCF <= self.lcf[0] <= self.lcf[1] <= MAX_LCF:
+            raise ValueError(f"lcf must be a range (least, most) in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
 
     @property
     def substeps(self):
         """Physics steps a decision lasts."""
-        return round(self.period / PHYSICS_STEP)
+        return physics_steps(self.period)
 
     @property
     def steps(self):

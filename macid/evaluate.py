@@ -9,6 +9,7 @@ from macid.crowd import Crowd, CrowdConfig
 from macid.layout import LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
+from macid.state import PHYSICS_STEP
 
 LCF_BINS = 6  # of Table I
 TOLERATED = 20  # Fig. 2: SR_n for n = 1 to this
@@ -18,6 +19,11 @@ _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
 def _recipe(pedestrian):
     """How a learned model was made; empty for a rule."""
     return getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
+
+
+def usual_period(pedestrian):
+    """The time between decisions [s] that a learned model was trained with; a physics step for a rule."""
+    return _recipe(pedestrian).get("period", PHYSICS_STEP)
 
 
 def table_lcf(pedestrian):

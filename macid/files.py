@@ -1,5 +1,6 @@
 """Results on disk: written to a temporary name and renamed, so that nobody reads half a file; and command-line errors."""
 
+import argparse
 import json
 import os
 import pathlib
@@ -55,6 +56,15 @@ def versions(*packages):
     return {**found, "python": platform.python_version(), "os": sys.platform}
 
 
+class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Help with the defaults that tell something."""
+
+    def _get_help_string(self, action):
+        if action.default in (None, False) or "(default" in (action.help or ""):
+            return action.help
+        return super()._get_help_string(action)
+
+
 def run_command(program, main):
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
@@ -71,7 +81,7 @@ def run_command(program, main):
         return 2
     try:
         return main()
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, FileNotFoundError, FloatingPointError) as error:
         if os.environ.get("BSON_TRACEBACK"):
             raise
         print(f"{program}: error: {error}", file=sys.stderr)

@@ -61,8 +61,13 @@ def load_occupancy(file):
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
             raise ValueError(f"{file}: {key} must be a number above 0, not {value!r}.")
+    if not numbers["free_thresh"] < numbers["occupied_thresh"] <= 1:
+        raise ValueError(f"{file}: free_thresh must be below occupied_thresh, and that at most 1.")
+    if fields.get("negate", 0) not in (0, 1):
+        raise ValueError(f"{file}: negate must be 0 or 1, not {fields['negate']!r}.")
     origin = fields.get("origin", [0, 0, 0])
-    if not isinstance(origin, list) or len(origin) != 3 or origin[2] != 0:
+    good = isinstance(origin, list) and len(origin) == 3 and all(isinstance(x, (int, float)) for x in origin)
+    if not good or not np.isfinite(origin).all() or origin[2] != 0:
         raise ValueError(f"{file}: origin must be [x, y, 0] (a turned map is not supported), not {origin!r}.")
     picture = cv2.imread(str(file.parent / str(fields["image"])), cv2.IMREAD_GRAYSCALE)
     if picture is None:

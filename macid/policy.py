@@ -5,6 +5,7 @@ same forward pass serves NumPy, JAX (both through the array API) and, exported, 
 """
 
 import dataclasses
+import functools
 import io
 import json
 import math
@@ -14,12 +15,11 @@ import numpy as np
 
 from macid import assets, observation
 from macid.files import write_bytes, write_json
-from macid.state import MAX_SPEED, MAX_YAW_RATE
+from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE
 
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
 FEATURES = observation.SIZE + 1  # the goal's two columns become three
-LCF_SCALE = 2.0  # the LCF enters the networks as a share of its bound
 _GOAL_SCALE = math.log1p(24.0)
 
 
@@ -42,7 +42,7 @@ def features(observed):
 def inputs(seen, lcf):
     """Network inputs (..., FEATURES + 1): features `seen` (..., FEATURES), and the LCF (...)."""
     xp = seen.__array_namespace__()
-    return xp.concatenate([seen, (lcf / LCF_SCALE)[..., None]], axis=-1)
+    return xp.concatenate([seen, (lcf / MAX_LCF)[..., None]], axis=-1)
 
 
 def mlp(layers, x):
@@ -114,13 +114,15 @@ class Policy:
                     self.linear.append(linear)
 
             def forward(self, observed, lcf):
+                observed = torch.as_tensor(observed, dtype=self.linear[0].weight.dtype)
                 goal, rest, rays = observed[..., :2], observed[..., 2:5], observed[..., 5:]
                 distance = goal.norm(dim=-1, keepdim=True)
                 rest = rest / rest.new_tensor([MAX_SPEED, MAX_YAW_RATE, 1.0])
                 rays = rays.unflatten(-1, (observation.RAYS, 3))
                 rays = torch.cat([1.0 - rays[..., :1] / observation.RAY_RANGE, rays[..., 1:] / MAX_SPEED], dim=-1)
                 x = [goal / (distance + 1e-6), distance.log1p() / goal_scale, rest, rays.flatten(-2)]
-                x = torch.cat([*x, (lcf / LCF_SCALE).expand(observed.shape[:-1])[..., None]], dim=-1)
+                lcf = torch.as_tensor(lcf, dtype=observed.dtype, device=observed.device) / MAX_LCF
+                x = torch.cat([*x, lcf.expand(observed.shape[:-1])[..., None]], dim=-1)
                 for linear in self.linear[:-1]:
                     x = torch.tanh(linear(x))
                 x = self.linear[-1](x).clamp(-1.0, 1.0)
@@ -145,7 +147,16 @@ def load_policy(name):
         path = assets.path("policies", f"{matching[0]}.npz")
     elif not path.is_file():
         raise ValueError(f"There is no policy file '{name}'.")
-    return Policy(*read_network(path))
+    return _read(path.resolve(), path.stat().st_mtime_ns)
+
+
+@functools.lru_cache(64)
+def _read(path, _changed):
+    """One Policy a file, so that what was compiled for it serves again."""
+    policy = Policy(*read_network(path))
+    for array in (array for layer in policy.layers for array in layer):
+        array.flags.writeable = False
+    return policy
 
 
 def write_network(path, layers, recipe):
@@ -156,8 +167,8 @@ def write_network(path, layers, recipe):
         arrays[f"weight{index}"], arrays[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
+    write_json(path.with_suffix(".json"), recipe)  # first: weights are never without their recipe
     write_bytes(path.with_suffix(".npz"), buffer.getvalue())
-    write_json(path.with_suffix(".json"), recipe)
 
 
 def read_network(path):

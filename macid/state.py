@@ -9,9 +9,19 @@ HEIGHT = 1.7  # of a pedestrian [m]
 RESPONSE = 0.01  # time constant with which a pedestrian's body follows a commanded velocity [s]
 MAX_SPEED = 1.5  # [m/s]
 MAX_YAW_RATE = 1.0  # [rad/s]
+MAX_LCF = 2.0  # local coordination factors lie within it, on both sides of 0
 CONTACT_GAP = 0.01  # a surface gap up to this counts as a collision [m] (Unity's contact offset)
 GOAL_RADIUS = 0.5  # [m]
 PHYSICS_STEP = 0.02  # [s]
+
+
+def physics_steps(period):
+    """How many physics steps a `period` [s] between decisions is. Raises ValueError unless it is a multiple of one."""
+    steps = round(period / PHYSICS_STEP) if np.isfinite(period) else 0
+    if steps < 1 or abs(steps * PHYSICS_STEP - period) > 1e-9:
+        raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {period}.")
+    return steps
+
 
 # Whoever has left the map, and every unused slot of a batch, stands out here, out of everybody's range [m].
 FAR_AWAY = 1000.0

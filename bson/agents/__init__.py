@@ -122,10 +122,18 @@ def _factory(found, name):
 def act(agent, observation, name="agent"):
     """The action (2,) float of `agent` for one world's observation, checked.
 
-    Raises AgentError for what is no action, and RuntimeError, from the cause, where the agent itself fails.
+    Raises AgentError for what is no action, or where the agent asks for what isn't observed, and RuntimeError, from the
+    cause, where it fails otherwise.
     """
     try:
         action = agent(observation)
+    except KeyError as error:
+        if not (error.args and isinstance(error.args[0], str)) or error.args[0] in observation:
+            raise RuntimeError(f"Agent '{name}' raised KeyError: {error}") from error
+        raise AgentError(
+            f"Agent '{name}' asks for observation[{error}], which its track and sensor don't give. There are: "
+            f"{', '.join(observation)}. Choose others by --track and --sensor, or the agent's attributes track and sensor."
+        ) from error
     except Exception as error:
         raise RuntimeError(f"Agent '{name}' raised {type(error).__name__}: {error}") from error
     try:

@@ -21,7 +21,7 @@ from macid.observation import observe
 from macid.pedestrians.learned import to_command
 from macid.policy import Policy, features, inputs, mlp, to_velocity
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
-from macid.state import GOAL_RADIUS, PHYSICS_STEP
+from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
 _CELL = 1.0  # side of the squares of the map that share a list of goals [m]
 _GOALS = 64  # in such a list
@@ -69,8 +69,7 @@ class TrainConfig:
         for name in ("nworld", "rollout", "episode", "agent_steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
-        if abs(round(self.period / PHYSICS_STEP) * PHYSICS_STEP - self.period) > 1e-9 or self.period < PHYSICS_STEP:
-            raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {self.period}.")
+        physics_steps(self.period)
 
 
 class Walk(NamedTuple):
@@ -221,7 +220,7 @@ class Trainer:
         """`rollout` decisions of every agent: the walk after them, the transitions (T, nworld, K, ...) and the last
         critic input, which bootstraps the values."""
         config, policy = self.config, parameters["policy"]
-        substeps = round(config.period / PHYSICS_STEP)
+        substeps = physics_steps(config.period)
 
         def act(crowd, goals, key):
             seen = features(observe(crowd, self.engine.boxes, goals))
@@ -319,13 +318,13 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
-def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, stop_after=None):
+def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0):
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
     the first seed's. With MJX and several devices, they share the work.
 
-    resume: goes on from the checkpoint, if there is one, exactly where it stopped. Raises ValueError if it is another
+    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one. Raises ValueError if it is another
     configuration's, FloatingPointError if the training diverges.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
@@ -350,8 +349,13 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     begin = last_save = last_show = time.monotonic()
     before, done = spent, len(curves[0])
     while done < trainer.iterations:
-        states, logs = trainer.iterate_seeds(states)
-        logs, done = jax.device_get(logs), done + 1
+        try:
+            following, logs = trainer.iterate_seeds(states)
+            logs = jax.device_get(logs)
+        except KeyboardInterrupt:
+            save()
+            raise
+        states, done = following, done + 1
         now = time.monotonic()
         spent = before + now - begin
         steps = done * trainer.samples
@@ -371,8 +375,6 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
         if now - last_save > 60 * minutes_between_checkpoints:
             last_save = now
             save()
-        if stop_after is not None and done >= stop_after:
-            break
     save()
     policies = []
     for index, (each, folder, curve) in enumerate(zip(configs, folders, curves, strict=True)):

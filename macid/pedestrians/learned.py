@@ -14,7 +14,7 @@ def to_command(velocity, yaw):
     return jnp.concatenate([ahead, velocity[..., 1:]], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Learned:
     """A policy's mean action, from the observation that it was trained with. `lcf` sets each person's temper."""
 

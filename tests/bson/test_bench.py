@@ -1,7 +1,6 @@
 import pytest
 
-from bson import bench, cli
-from bson.env import ENVIRONMENTS
+from bson import ENVIRONMENTS, bench, cli
 
 
 def test_every_environments_sensors_can_be_measured():

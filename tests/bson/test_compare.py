@@ -45,6 +45,7 @@ def _run(agent, rows, **changes):
         "agent": agent,
         "suite": "made",
         "suite_digest": "0123456789ab",
+        "task_digest": "0123",
         "overrides": {},
         "track": ["local", "lidar2d"],
         "versions": {"mujoco": "3.17.0"},
@@ -157,6 +158,7 @@ def test_faults_and_other_versions_are_noted():
             {"cells": [{"name": "all", "grades": {}, "config": {"horizon": 7}}]},
             "horizon is 1000 against 7 in cell 'all'",
         ),
+        ({"task_digest": "ffff"}, "a map, a robot or the pedestrians' weights changed"),
     ],
 )
 def test_runs_that_cannot_be_compared_are_refused_by_what_differs(changes, told):

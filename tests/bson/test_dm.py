@@ -5,16 +5,25 @@ from absl.testing import absltest
 from dm_env import test_utils
 
 import bson.dm
+from bson.tracks import SENSORS, TRACKS
 from macid.drawing import gl_problem
 
 FEW = {"num_pedestrians": 3, "map_size": 12.0, "goal_distance": (2.0, 8.0), "pedestrian_model": "social-force"}
 
 
-class ConformanceTest(test_utils.EnvironmentTestMixin, absltest.TestCase):
+class Conformance(test_utils.EnvironmentTestMixin):
     """dm_env's own test of what an environment must do."""
 
     def make_object_under_test(self):
-        return bson.dm.load(**FEW, horizon=7, seed=1)
+        return bson.dm.load(self.track, self.sensor, **FEW, horizon=7, seed=1)
+
+
+for _track in TRACKS:
+    for _sensor in SENSORS:
+        _drawn = _sensor == "camera" and gl_problem()
+        _case = type(f"Test{_track}{_sensor}", (Conformance, absltest.TestCase), {"track": _track, "sensor": _sensor})
+        globals()[_case.__name__] = pytest.mark.skipif(bool(_drawn), reason=str(_drawn))(_case)
+del _case
 
 
 def test_it_plays_what_gymnasium_plays():

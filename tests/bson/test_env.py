@@ -7,7 +7,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import bson  # noqa: F401  (registers the environments)
-from bson.env import ENVIRONMENTS, BsonEnv, BsonVectorEnv
+from bson import ENVIRONMENTS
+from bson.env import BsonEnv, BsonVectorEnv
 from bson.metrics import GAMMA
 
 SMALL = {"num_pedestrians": 4, "map_size": 20.0, "goal_distance": (6.0, 15.0)}

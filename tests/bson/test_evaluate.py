@@ -9,11 +9,12 @@ from bson.cli import main
 from bson.evaluate import format_summary, pair, results, run_episodes
 from bson.metrics import METRICS, measure
 from bson.report import make_report
+from bson.resume import basis, files_digest
 from bson.session import Session
 from bson.suites import Cell
 from bson.task import TaskConfig
 from bson.tracks import make_track
-from macid import drawing
+from macid import assets, drawing
 
 TRACK = make_track("local", "lidar2d")
 SMALL = TaskConfig(num_pedestrians=5, map_size=20.0, goal_distance=(6.0, 15.0), horizon=120)
@@ -215,6 +216,52 @@ def test_a_suite_of_cells_is_summarised_and_filmed_cell_by_cell(tmp_path, capsys
     assert {path.name for path in out.glob("videos/*")} == {f"seed-7000-{name}.webm" for name in ends}
     page = (out / "report.html").read_text()
     assert all(f"seed 7000 in &#x27;{name}&#x27;, the" in page for name in ends)
+
+
+def test_an_agent_may_bring_sensors_of_its_own_and_people_are_told_of_one_by_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(
+        "from bson.sensors import Imu, Lidar2D\n"
+        "def agent(observation):\n"
+        "    assert observation['lidar'].shape == (90,)\n"
+        "    return [0.0, 0.0]\n"
+        "agent.sensor = (Imu(noise=1.0), Lidar2D(beams=90))\n"
+    )
+    command = ["evaluate", "--agent", "own.py", "--suite", "smoke", "--episodes", "2", "--videos", "0", "--paired"]
+    command += ["--set", "horizon=60", "--set", "pedestrian_model=orca", "--set", "num_pedestrians=40", "--out", "own"]
+    assert main(command) == 0
+    content = json.loads((tmp_path / "own" / "results.json").read_text())
+    assert content["track"] == ["local", "Imu + Lidar2D"]
+    assert [(one["kind"], one["noise"]) for one in content["sensors"]] == [("Imu", 1.0), ("Lidar2D", 0.0)]
+    for row in content["episodes"]:
+        for name, values in row["people"].items():
+            assert len(values) == 40
+            told = [value for value in values if value is not None]
+            assert (row[name] is None) == (not told)
+            if told:
+                assert row[name] == pytest.approx(np.mean(told), abs=1e-3)
+    assert any(row["detour"] is not None for row in content["episodes"])
+
+
+def test_the_digest_of_the_task_follows_the_content_of_its_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def digest():
+        cells = [Cell((), TaskConfig(map="m.toml", pedestrian_model="p.npz", num_pedestrians=1, goal_distance=(2, 9)))]
+        return files_digest(basis("goal", ["local", "lidar2d"], cells, False))
+
+    def put(size, policy):
+        (tmp_path / "m.toml").write_text(f"size = {size}")
+        for suffix in (".npz", ".json"):
+            (tmp_path / f"p{suffix}").write_bytes(assets.path("policies", policy + suffix).read_bytes())
+
+    put(20.0, "macid-0")
+    before = digest()
+    assert digest() == before
+    put(21.0, "macid-0")
+    assert digest() != before
+    put(20.0, "macid-1")
+    assert digest() != before
 
 
 def test_a_straight_free_drive_in_simulation_scores_its_route_completion():

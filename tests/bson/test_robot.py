@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from bson import robot
+from bson import ENVIRONMENTS, robot
 from bson.agents.scripted import goal
-from bson.env import ENVIRONMENTS
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D
 from bson.task import TaskConfig
 from bson.world import World

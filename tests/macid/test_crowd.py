@@ -34,7 +34,7 @@ def episode_of(crowd, places, goals):
         ({"period": -0.02}, "multiple of the physics step"),
         ({"period": float("inf")}, "multiple of the physics step"),
         ({"period": float("nan")}, "multiple of the physics step"),
-        ({"lcf": (1.0, 0.0)}, r"range \(least, most\), not \(1.0, 0.0\)"),
+        ({"lcf": (1.0, 0.0)}, r"range \(least, most\) in \[-2, 2\], not \(1.0, 0.0\)"),
         ({"lcf": (0.0, float("inf"))}, "range"),
     ],
 )

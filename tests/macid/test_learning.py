@@ -176,10 +176,21 @@ def test_who_is_alone_has_a_mean_field_of_zeros():
     np.testing.assert_array_equal(critic[0, 2, FEATURES + 1 :], np.zeros(FEATURES + 2))
 
 
-def test_resuming_equals_not_stopping(tmp_path):
+def test_resuming_after_ctrl_c_equals_not_stopping(tmp_path, monkeypatch):
     quiet = {"show": lambda line: None}
     whole = train(TINY, tmp_path / "whole", seeds=2, **quiet)
-    train(TINY, tmp_path / "parts", seeds=2, stop_after=2, **quiet)
+    arrived, fetch = [], jax.device_get
+
+    def interrupted(logs):
+        arrived.append(logs)
+        if len(arrived) == 3:
+            raise KeyboardInterrupt
+        return fetch(logs)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(jax, "device_get", interrupted)
+        train(TINY, tmp_path / "parts", seeds=2, **quiet)
+    assert not (tmp_path / "parts" / f"{TINY.name}-0" / "policy.npz").exists()
     parts = train(TINY, tmp_path / "parts", seeds=2, resume=True, **quiet)
     assert [same(a.layers, b.layers) for a, b in zip(whole, parts, strict=True)] == [True, True]
     assert not same(whole[0].layers, whole[1].layers)
