@@ -18,9 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from macid.crowd import CrowdConfig
-from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf
-from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
-from macid.layout import LEVELS
+from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf, usual_period
+from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
+from macid.layout import LEVELS, load_level
+from macid.learning.curves import plain
 from macid.learning.methods import METHODS
 from macid.learning.train import PRESETS, TrainConfig, train
 from macid.policy import load_policy
@@ -66,12 +67,21 @@ def wanted(agent_steps, seeds=None):
     }
 
 
-def find_policies(*folders):
-    """{model: {seed: policy file}} of folders, read from the recipes."""
-    found = {}
+def find_policies(configs, *folders):
+    """{model: {seed: policy file}} of folders, read from the recipes.
+
+    Who has the name of one of `configs` but was trained otherwise is told of and left out: tables are of equal samples.
+    """
+    recipes, found = {config.name: plain(config) for config in configs}, {}
     for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
-        recipe = json.loads(file.with_suffix(".json").read_text())
-        found.setdefault(recipe["name"], {}).setdefault(recipe["seed"], file)
+        recipe = load_policy(str(file)).recipe
+        name, seed = recipe.get("name", file.stem), recipe.get("seed", 0)
+        wanted = {**recipes.get(name, recipe), "seed": seed, "engine": recipe.get("engine")}
+        if other := [field for field in wanted if recipe.get(field) != wanted[field]]:
+            told = ", ".join(f"{field} is {recipe.get(field)}, not {wanted[field]}" for field in other)
+            print(f"left out: '{file}' is no {name} of these tables: {told}", file=sys.stderr, flush=True)
+            continue
+        found.setdefault(name, {}).setdefault(seed, file)
     return found
 
 
@@ -91,14 +101,22 @@ def train_missing(configs, found, folder):
 def evaluated(rows, file, level, lcf, episodes):
     """A row of `evaluate_level`, from the folder `rows` if it is there; `file`: a policy's or a rule's name."""
     pedestrian = str(file)
-    period = load_policy(pedestrian).period if pedestrian.endswith(".npz") else PHYSICS_STEP
+    config = CrowdConfig(period=usual_period(pedestrian), lcf=lcf)
     content = pathlib.Path(pedestrian).read_bytes() if pedestrian.endswith(".npz") else pedestrian.encode()
-    name = f"{hashlib.sha256(content).hexdigest()[:12]}-lv{level}-{lcf[0]:.2f}_{lcf[1]:.2f}-{episodes}.json"
-    path = rows / name
+    layout = load_level(level)
+    follows_from = [
+        layout.obstacles.tolist(),
+        layout.pedestrians,
+        plain(config),
+        episodes,
+        versions("mujoco")["mujoco"],
+    ]
+    key = hashlib.sha256(content + json.dumps(follows_from).encode()).hexdigest()[:16]
+    path = rows / f"{pathlib.Path(pedestrian).stem}-lv{level}-{key}.json"
     if path.exists():
         return json.loads(path.read_text())
     print(f"{pedestrian} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
-    row = evaluate_level(pedestrian, level, episodes, config=CrowdConfig(period=period, lcf=lcf))
+    row = evaluate_level(pedestrian, level, episodes, config=config)
     write_json(path, row)
     return row
 
@@ -169,10 +187,10 @@ def run(args):
         raise UsageError("--seeds, --episodes and --agent-steps must be at least 1.")
     configs = wanted(args.agent_steps, args.seeds)
     if not args.no_train:
-        train_missing(configs, find_policies(args.policies, runs), runs)
+        train_missing(configs, find_policies(configs, args.policies, runs), runs)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
-        for name, by_seed in find_policies(args.policies, runs).items()
+        for name, by_seed in find_policies(configs, args.policies, runs).items()
     }
     if not policies:
         raise UsageError(f"No policies in '{args.policies}'. Leave --no-train out, or train some: macid train --help.")

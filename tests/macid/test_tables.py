@@ -1,0 +1,100 @@
+"""tools/reproduce_tables.py, on rows that are made up, and the README's figures against what is shipped."""
+
+import importlib.util
+import json
+import pathlib
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from macid import assets
+from macid.evaluate import TOLERATED
+from macid.learning.methods import METHODS
+from macid.policy import load_policy, policy_names
+
+ROOT = pathlib.Path(__file__).parents[2]
+SPEC = importlib.util.spec_from_file_location("reproduce_tables", ROOT / "tools" / "reproduce_tables.py")
+tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(tables)
+
+
+@pytest.fixture
+def made_up(tmp_path, monkeypatch):
+    """A folder with macid's seeds 0 and 1, and rows in which SR10 is 10 x level, and 2 more for seed 1; who was evaluated
+    with which LCFs."""
+    asked = []
+
+    def row(pedestrian, level, episodes, config):
+        asked.append((pathlib.Path(pedestrian).stem, level, config.lcf))
+        seed = 1 if "macid-1" in pedestrian else 0
+        figures = dict.fromkeys((*tables.COLUMNS, *tables.WALKING), 1.0)
+        return {**figures, "SR10": 10.0 * level + 2 * seed, "CP": -config.lcf[0], "SR": [float(level)] * TOLERATED}
+
+    monkeypatch.setattr(tables, "evaluate_level", row)
+    for name in ("macid-0", "macid-1"):
+        for suffix in (".npz", ".json"):
+            shutil.copy(assets.path("policies", name + suffix), tmp_path)
+    return tmp_path, asked
+
+
+def run(monkeypatch, folder, *words):
+    monkeypatch.setattr(sys, "argv", ["tables", "--policies", str(folder), "--out", str(folder / "out"), *words])
+    return tables.main()
+
+
+def test_tables_have_means_deviations_and_the_papers_figures_and_rows_are_kept(made_up, monkeypatch, capsys):
+    folder, asked = made_up
+    assert run(monkeypatch, folder, "--no-train") == 0
+    lines = (folder / "out" / "table2.md").read_text().splitlines()
+    (ours,) = [line for line in lines if line.startswith("| macid (2 seeds)")]
+    sd = np.std([10.0, 12.0], ddof=1)
+    assert ours.split(" | ")[1] == f"11.0 ± {sd:.1f}" and ours.split(" | ")[4] == f"21.0 ± {sd:.1f}"
+    assert lines[lines.index(ours) + 1].startswith("| *paper* | 76.9 | 5.1 | 94.6 | 64.5")
+    assert lines[2].startswith("| social-force | 10.0")  # a rule has no seeds
+    by_lcf = (folder / "out" / "table1.md").read_text().splitlines()
+    assert len([line for line in by_lcf if line.startswith("| (")]) == 6
+    assert by_lcf[-1].split(" | ")[2] == "-1.0"  # CP falls from section to section
+    assert len((folder / "out" / "figure2.csv").read_text().splitlines()) == 1 + 4 * 4 * TOLERATED
+    assert (folder / "out" / "figure2.png").stat().st_size > 10_000
+    sections = [lcf for name, level, lcf in asked if name == "macid-0" and level == 1]
+    assert len(sections) == len(set(sections)) == 7  # Table I's six and Table II's (0.67, 1.33)
+    before = len(asked)
+    assert run(monkeypatch, folder, "--no-train") == 0 and len(asked) == before
+
+
+def test_policies_of_another_recipe_are_left_out_and_the_missing_seeds_trained(made_up, monkeypatch, capsys):
+    folder, _ = made_up
+    recipe = json.loads((folder / "macid-1.json").read_text())
+    (folder / "macid-1.json").write_text(json.dumps({**recipe, "agent_steps": 7000, "level": 1}))
+    configs = tables.wanted(30e6)
+    found = tables.find_policies(configs, folder)
+    assert list(found) == ["macid"] and list(found["macid"]) == [0]
+    assert "level is 1, not 2, agent_steps is 7000, not 30000000" in capsys.readouterr().err
+    trained = []
+    monkeypatch.setattr(tables, "train", lambda config, *args, **kwargs: trained.append((config.name, config.seed)))
+    tables.train_missing(configs, found, folder)
+    assert [seed for name, seed in trained if name == "macid"] == [1, 2, 3, 4, 5, 6]
+    assert [seed for name, seed in trained if name == "ipo-25hz"] == [0, 1, 2]
+
+
+def test_wrong_requests_are_told(made_up, monkeypatch, capsys):
+    folder, _ = made_up
+    assert run(monkeypatch, folder, "--seeds", "0") == 2 and "at least 1" in capsys.readouterr().err
+    empty = folder / "empty"
+    empty.mkdir()
+    assert run(monkeypatch, empty, "--no-train") == 2 and "No policies" in capsys.readouterr().err
+
+
+def test_the_readmes_table_is_of_the_shipped_policies():
+    lines = (ROOT / "README.md").read_text().splitlines()
+    for method in METHODS:
+        names = [name for name in policy_names() if name.rpartition("-")[0] == method]
+        scores = [load_policy(name).recipe["scores"] for name in names]
+        values = [[score[f"Lv.{level}"][c] for level in (1, 2, 3, 4) for c in tables.COLUMNS] for score in scores]
+        (line,) = [line for line in lines if line.startswith(f"| {method} ({len(names)} seeds) | ")][:1]
+        told = [float(cell.partition(" ")[0]) for cell in line.split(" | ")[1:]]
+        np.testing.assert_allclose(told, np.mean(values, axis=0), atol=0.06)
+        spread = [float(cell.split()[2]) for cell in line.split(" | ")[1:]]
+        np.testing.assert_allclose(spread, np.std(values, axis=0, ddof=1), atol=0.06)
