@@ -17,6 +17,9 @@ from bson.env import ACTION_SPACE, check_seed, first
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
+from macid.drawing import close_before_all_else
+
+close_before_all_else()  # dm_control has an EGL of its own, which it ends at exit
 
 
 def load(track="local", sensor="lidar2d", seed=None, **config):

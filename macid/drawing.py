@@ -98,10 +98,14 @@ def offscreen(model):
 
 def close_at_exit(stage):
     """Has `stage.close()` called before the graphics library goes, if it is still there; call after `gl_context`."""
-    if not _open_stages:  # after EGL's own clean-up was registered, so that this one comes first
-        atexit.unregister(_close_all)
-        atexit.register(_close_all)
+    close_before_all_else()
     _open_stages.add(stage)
+
+
+def close_before_all_else():
+    """Has stages closed at exit before the clean-ups that were registered until now, such as an EGL library's own."""
+    atexit.unregister(_close_all)
+    atexit.register(_close_all)
 
 
 def _close_all():

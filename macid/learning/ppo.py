@@ -11,7 +11,7 @@ from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
 
 @dataclasses.dataclass(frozen=True)
 class PpoConfig:
-    """Hyperparameters. The defaults are the paper's where it gives one (sec. IV-C)."""
+    """Hyperparameters. The defaults are the paper's where it gives one (sec. IV-C); it tells of no annealing."""
 
     learning_rate: float = 1e-3
     final_learning_rate: float = 5e-5  # annealed to, linearly over training

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -24,6 +27,19 @@ for _track in TRACKS:
         _case = type(f"Test{_track}{_sensor}", (Conformance, absltest.TestCase), {"track": _track, "sensor": _sensor})
         globals()[_case.__name__] = pytest.mark.skipif(bool(_drawn), reason=str(_drawn))(_case)
 del _case
+
+
+@pytest.mark.skipif(bool(gl_problem()), reason=str(gl_problem()))
+def test_a_process_that_drew_before_dm_control_came_ends_in_silence():
+    script = (
+        "import gymnasium, bson\n"
+        "env = gymnasium.make('BSON/LocalCamera-v0', num_pedestrians=1)\n"
+        "env.reset(seed=1)\n"
+        "import bson.dm\n"
+        "bson.dm.load('local', 'camera', num_pedestrians=1).reset()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_it_plays_what_gymnasium_plays():

@@ -31,6 +31,16 @@ def test_gymnasium_finds_no_fault(each):
         check_env(each, skip_render_check=True)
 
 
+def test_a_vector_of_it_begins_with_its_own_observation(each):
+    many = gymnasium.make_vec(each.spec.id, num_envs=2, **SMALL)
+    observations, infos = many.reset(seed=4)
+    assert many.observation_space.contains(observations)
+    observation, info = each.reset(seed=5)
+    assert same(observation, {key: values[1] for key, values in observations.items()})
+    observations, *_ = many.step(many.action_space.sample())
+    assert many.observation_space.contains(observations)
+
+
 def test_stable_baselines3_finds_no_fault(each):
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra 'agents'")
     with warnings.catch_warnings(record=True) as told:

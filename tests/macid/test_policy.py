@@ -27,13 +27,16 @@ def observations(number, seed=1):
     return seen, rng.uniform(-2, 2, number).astype(np.float32)
 
 
-def test_numpy_jax_and_torch_agree():
-    made, (seen, lcf) = make(), observations(200)
+@pytest.mark.parametrize("name", [None, "macid", "macid-tri", "copo"])
+def test_numpy_jax_and_torch_agree(name):
+    made, (seen, lcf) = policy.load_policy(name) if name else make(), observations(200)
     expected = made(seen, lcf)
     np.testing.assert_allclose(jax.jit(made)(jnp.asarray(seen), jnp.asarray(lcf)), expected, atol=1e-5)
     torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
     module = made.to_torch()
     np.testing.assert_allclose(module(torch.as_tensor(seen), torch.as_tensor(lcf)).detach(), expected, atol=1e-5)
+    seen = seen.astype(float)  # and one LCF for all
+    np.testing.assert_allclose(module(torch.as_tensor(seen), 0.5).detach(), made(seen, 0.5), atol=1e-5)
 
 
 def test_saved_equals_loaded_and_is_small(tmp_path):
