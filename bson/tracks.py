@@ -90,6 +90,7 @@ SENSORS = {
 }
 TRACKS = {"local": LocalTrack, "global": GlobalTrack}
 RESERVED = ("goal", "velocity", "map", "map_origin", "map_resolution", "pose", "people")  # the tracks' own keys
+KEYS = {*RESERVED, *(sensor.key for sensors in SENSORS.values() for sensor in sensors)}  # that some track gives
 
 
 def make_track(track, sensor):

@@ -15,6 +15,7 @@ import sys
 import numpy as np
 
 from bson.agents import learned
+from bson.tracks import KEYS
 
 BUILT_IN = {
     "stop": "bson.agents.scripted:stop",
@@ -128,7 +129,7 @@ def act(agent, observation, name="agent"):
     try:
         action = agent(observation)
     except KeyError as error:
-        if not (error.args and isinstance(error.args[0], str)) or error.args[0] in observation:
+        if not any(key in KEYS and key not in observation for key in error.args if isinstance(key, str)):
             raise RuntimeError(f"Agent '{name}' raised KeyError: {error}") from error
         raise AgentError(
             f"Agent '{name}' asks for observation[{error}], which its track and sensor don't give. There are: "

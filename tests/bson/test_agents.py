@@ -107,6 +107,11 @@ def test_an_agents_own_failure_keeps_its_cause():
     assert isinstance(caught.value.__cause__, KeyError)
 
 
+def test_what_another_track_or_sensor_would_give_is_told():
+    with pytest.raises(AgentError, match=r"asks for observation\['depth'\].*There are: .*lidar"):
+        act(lambda observation: observation["depth"], OBSERVATION, "mine")
+
+
 def test_a_class_is_built_once_a_world_and_a_file_may_import_its_neighbours(tmp_path, monkeypatch):
     (tmp_path / "beside.py").write_text("SPEED = 0.4\n")
     (tmp_path / "counted.py").write_text(
