@@ -32,7 +32,7 @@ WALKING = ("arrived", "dv", "dw", "stalled")
 PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is no multiple of the physics step
 BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
-SEEDS, OTHERS_SEEDS = 7, 3  # of each method; of other hyperparameters and periods
+SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
@@ -57,7 +57,7 @@ PAPER_TABLE_1 = (
 def wanted(agent_steps, seeds=None):
     """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
-    others = [TrainConfig(method="ipo", ppo=PRESETS["paper-ppo"])]
+    others = [TrainConfig(method="ipo", ppo=PRESETS[preset]) for preset in ("paper", "paper-ppo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
     return {
