@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bson.agents import act
-from bson.metrics import METRICS, effects, measure, summarise
+from bson.metrics import METRICS, measure, summarise
 from bson.session import Recorder, Session
 from bson.world import World
 from macid import files
@@ -149,7 +149,7 @@ def _each_person(episode):
     a pair."""
     people = {
         name: [round(float(value), 4) if math.isfinite(value) else None for value in values]
-        for name, values in effects(episode).items()
+        for name, values in episode.effects.items()
     }
     return {"people": people} if people else {}
 

@@ -7,6 +7,7 @@ and what it is, with its threshold.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -54,6 +55,17 @@ class Episode:
     people_goals: np.ndarray | None = None  # (K, 2) where they go first
     people_alone: np.ndarray | None = None  # (T + 1, K, 3) the same people without the robot, if that was played
     fault: str = ""  # what of the physics became infinite or not a number: an episode that is not scored
+
+    @functools.cached_property
+    def effects(self):
+        """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
+        others; {} without a pair.
+
+        delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as there
+        at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what brings
+        them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
+        """
+        return _effects(self)
 
 
 def route_completion(episode):
@@ -150,14 +162,8 @@ def _met(episode):
     return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
 
 
-def effects(episode):
-    """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
-    others; {} without a pair.
-
-    delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as there
-    at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what brings
-    them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
-    """
+def _effects(episode):
+    """Episode.effects of an episode."""
     if episode.people_alone is None:
         return {}
     both = episode.people, episode.people_alone
@@ -176,7 +182,7 @@ def _effect(name):
     """The mean of the effect `name` over whom it was on; infinity where there is nobody, or no pair."""
 
     def mean(episode):
-        values = effects(episode).get(name, np.empty(0))
+        values = episode.effects.get(name, np.empty(0))
         on = np.isfinite(values)
         return float(values[on].mean()) if on.any() else np.inf
 

@@ -219,8 +219,8 @@ def train(
 
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the folder has
-    another configuration's training.
+    the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the
+    folder has another configuration's training.
     """
     folder = training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
     if is_done(config, folder):
