@@ -188,7 +188,7 @@ def parser():
     watch.set_defaults(run=_watch)
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
-    train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid or macid-tri")
+    train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     train.add_argument("--seed", type=int, default=0, help="the first seed")

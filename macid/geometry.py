@@ -63,6 +63,14 @@ def norm(vector):
     return xp.sqrt(vector[..., 0] ** 2 + vector[..., 1] ** 2)
 
 
+def pairs_within(position, distance):
+    """Which of the points `position` (..., K, 2) are at most `distance` apart: (..., K, K) bool, none of itself."""
+    xp = _namespace(position)
+    offset = position[..., :, None, :] - position[..., None, :, :]
+    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    return (squared <= distance**2) & ~xp.eye(position.shape[-2], dtype=bool)
+
+
 def in_box_frame(point, boxes):
     """`point` (..., 2) in the frame of each of `boxes` (..., B, 5): (..., B, 2) [m]."""
     return to_body(point[..., None, :] - boxes[..., :2], boxes[..., 4])

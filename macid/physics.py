@@ -24,12 +24,14 @@ def touching(position, boxes):
     A collision is this geometric test on both engines, so that scores don't depend on solver details.
     """
     xp = position.__array_namespace__()
-    offset = position[..., :, None, :] - position[..., None, :, :]
-    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    myself = xp.eye(position.shape[-2], dtype=bool)
-    people = xp.any((squared <= (2 * RADIUS + CONTACT_GAP) ** 2) & ~myself, axis=-1)
+    people = xp.any(touching_people(position), axis=-1)
     to_boxes = geometry.point_box_distance(position, boxes[..., None, :, :])
     return people | xp.any(to_boxes <= RADIUS + CONTACT_GAP, axis=-1)
+
+
+def touching_people(position):
+    """Who touches whom of `position` (..., K, 2): (..., K, K), nobody oneself."""
+    return geometry.pairs_within(position, 2 * RADIUS + CONTACT_GAP)
 
 
 def read_crowd(qpos, qvel, number, boxes):

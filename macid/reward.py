@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from macid import geometry
+
 
 @dataclasses.dataclass(frozen=True)
 class RewardWeights:
@@ -22,10 +24,7 @@ NEIGHBOR_DISTANCE = 5.0  # d_n of eq. 1 [m]
 
 def neighbors(position):
     """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody is one's own."""
-    xp = position.__array_namespace__()
-    offset = position[..., :, None, :] - position[..., None, :, :]
-    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    return (squared <= NEIGHBOR_DISTANCE**2) & ~xp.eye(position.shape[-2], dtype=bool)
+    return geometry.pairs_within(position, NEIGHBOR_DISTANCE)
 
 
 def neighborhood_mean(values, near):

@@ -167,8 +167,9 @@ def plot(curves, path):
     figure = Figure(figsize=(12, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     for index, (axes, level) in enumerate(zip(figure.subplots(1, len(LEVELS)), LEVELS, strict=True)):
-        for name, curve in curves.items():
+        for number, (name, curve) in enumerate(curves.items()):
             style = {"linewidth": 2.6} if name.startswith("macid") else {"linewidth": 1.4, "alpha": 0.85}
+            style |= {"color": f"C{number % 10}", "linestyle": "-" if number < 10 else ":"}  # there are ten colours
             axes.plot(np.arange(1, TOLERATED + 1), curve[index], label=name, **style)
         axes.set_title(f"Lv.{level}")
         axes.set_xlabel("n")

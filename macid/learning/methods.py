@@ -1,4 +1,4 @@
-"""IPO, MFPO, CoPO, MAC-ID and MAC-ID(tri): only what sets them apart.
+"""IPO, MFPO, CoPO, MAC-ID, MAC-ID(tri) and MAC-ID(touch): only what sets them apart.
 
 Each agent maximises c_I A_I + c_N A_N, with coefficients of its LCF (eq. 2). IPO is MAC-ID with the LCF at zero.
 """
@@ -8,6 +8,8 @@ import math
 from collections.abc import Callable
 
 import jax.numpy as jnp
+
+from macid.reward import neighborhood_mean, neighbors
 
 
 def linear(lcf):
@@ -25,6 +27,31 @@ def quarter_turn(lcf):
     return trigonometric(jnp.clip(lcf, -1.0, 1.0) * (math.pi / 2))
 
 
+CARE = 8.0  # with 3 people collided more (on the maps for validation)
+
+
+def considerate(lcf):
+    """MAC-ID(touch)'s coefficients: 1, and the LCF times CARE above 0, half of it below.
+
+    So at LCF 1 a touch costs oneself w_c and CARE times that for each other; at -2 the two cancel, and touching is free.
+    """
+    return jnp.ones_like(lcf), jnp.where(lcf > 0, CARE, 0.5) * lcf
+
+
+def neighbors_mean(reward, position, touched, weights):
+    """Eq. 1: the mean (..., K) of the neighbours' individual rewards (..., K), of people at `position` (..., K, 2) [m]."""
+    return neighborhood_mean(reward[..., None], neighbors(position))[..., 0]
+
+
+def cost_of_touch(reward, position, touched, weights):
+    """MAC-ID(touch)'s instead of eq. 1: of the others' rewards, what one's touch costs them by eq. 5.
+
+    touched (..., K): how many people one touches. It has nothing of what neighbours do by themselves, which in eq. 1 makes
+    company pay (everybody who walks earns) and is noise to one's own decisions.
+    """
+    return -weights.collision * touched
+
+
 @dataclasses.dataclass(frozen=True)
 class Method:
     """A training method. lcf: the range from which an agent's LCF is drawn, uniformly, for an episode."""
@@ -33,6 +60,7 @@ class Method:
     lcf: tuple[float, float] = (0.0, 0.0)
     test_lcf: tuple[float, float] = (0.0, 0.0)  # the range for Table II
     coordination: Callable = linear
+    shared: Callable = neighbors_mean  # the neighbourhood's reward
     mean_field: bool = False  # critics see the mean of the neighbours' features and actions beside one's own
     meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
 
@@ -57,6 +85,7 @@ METHODS = {
             test_lcf=(math.pi / 6, math.pi / 3),
             coordination=trigonometric,
         ),
+        Method("macid-touch", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33), coordination=considerate, shared=cost_of_touch),
     )
 }
 

@@ -236,15 +236,17 @@ class Trainer:
             x, critic, action, log_probability = act(crowd, goals, key_action)
             command = to_command(to_velocity(action), crowd.yaw)
             steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
+            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
             for _ in range(substeps):
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
                 steps_in_contact = steps_in_contact + after.contact
+                pairs = pairs | physics.touching_people(after.position)
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
             arrived = distance <= GOAL_RADIUS
             reward = individual_reward(before_distance - distance, arrived, steps_in_contact > 0, config.reward)
-            shared = neighborhood_mean(reward[..., None], neighbors(after.position))[..., 0]
+            shared = self.method.shared(reward, after.position, jnp.sum(pairs, axis=-1), config.reward)
             goals = jnp.where(arrived[..., None], self._new_goals(key_goal, after.position), goals)
             step = {
                 "x": x,

@@ -118,6 +118,30 @@ def test_macid_with_the_lcf_at_zero_is_ipo_update_for_update(monkeypatch):
             np.testing.assert_allclose(a, b, atol=1e-6)
 
 
+def test_what_a_touch_costs_by_lcf():
+    weights = TINY.reward
+    lcf = jnp.asarray([-2.0, -1.0, 0.0, 1.0, 2.0])
+    own, others = methods.considerate(lcf)
+    two = methods.cost_of_touch(jnp.full(5, 7.0), None, jnp.full(5, 2), weights)  # one's progress is not the others'
+    np.testing.assert_allclose(two, -1.2, rtol=1e-6)
+    one = own * -weights.collision + others * two / 2
+    price = weights.collision * np.array([0.0, 0.5, 1.0, 1.0 + methods.CARE, 1.0 + 2 * methods.CARE])
+    np.testing.assert_allclose(one, -price, atol=1e-6)
+
+
+def test_who_touches_somebody_pays_for_them_and_for_nobody_else():
+    trainer = Trainer(dataclasses.replace(TINY, method="macid-touch", period=0.04))
+    state = trainer.init()
+    crowd = trainer.engine.read(state.walk.physics)
+    position = np.array(crowd.position)
+    position[:, 1] = position[:, 0] + [2 * RADIUS, 0.0]  # 0 and 1 of each world side by side
+    together = trainer.engine.init(jnp.asarray(position), crowd.yaw)
+    _, steps, _ = trainer._rollout(state.parameters, state.walk._replace(physics=together), jax.random.key(2))
+    first = np.asarray(steps["neighborhood"])[0]
+    np.testing.assert_allclose(first[:, :2], -TINY.reward.collision, rtol=1e-6)
+    np.testing.assert_array_equal(first[:, 2:], 0.0)
+
+
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_every_method_learns_from_its_own_signal(method):
     trainer = Trainer(dataclasses.replace(TINY, method=method))
@@ -250,7 +274,7 @@ def test_the_papers_preset_is_the_papers():
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"method": "mappo"}, "ipo, mfpo, copo, macid, macid-tri"),
+        ({"method": "mappo"}, "ipo, mfpo, copo, macid, macid-tri, macid-touch"),
         ({"period": 0.03}, "multiple"),
         ({"nworld": 0}, "at least 1"),
     ],
