@@ -3,9 +3,9 @@
     tools/reproduce_table3.py --out table3
 
 Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among one
-kind of pedestrian, tested among each) and lcf.md (the score by the LCF of everybody). Robots are trained to OUT/runs; each
-evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are means over seeds and episodes;
-intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
+kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of everybody).
+Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are
+means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
 """
 
 import argparse
@@ -35,6 +35,7 @@ PAPER = {
     "bc": (48.85, 0.992, 16.32, 0.569, 0.901),
 }
 CROWDS = ("social-force", "orca", "ipo", "macid")  # of the carry-over table
+UNMET = "macid-touch"  # tested among, not trained among
 TABLES = ("table3", "lcf", "carry-over")
 SCRIPTED = ("goal", "vfh", "dwa")
 DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
@@ -81,24 +82,32 @@ def scored(rows, agent, suite, seeds, **changes):
     return measured
 
 
-def over_seeds(by_seed):
-    """Episodes' metrics, each the mean over the seeds of a training: [{metric: mean}, ...].
+def averaged(runs):
+    """The metrics of several runs' same episodes, each the mean over the runs: [{metric: mean} or None, ...].
 
-    An episode of which physics failed for any seed, None, is left out.
+    None: an episode of which physics failed in any run.
     """
-    together = [rows for rows in zip(*by_seed, strict=True) if None not in rows]
-    return [{name: float(np.mean([row[name] for row in rows])) for name in rows[0]} for rows in together]
+    episodes = zip(*runs, strict=True)
+    return [
+        None if None in rows else {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        for rows in episodes
+    ]
 
 
 def cells(measured, names=PARTS):
-    """A Markdown row's cells: means, the SNS with its interval."""
-    found = summarise(measured)
+    """A Markdown row's cells: means, those of the SNS and the collisions with their intervals."""
+    found = summarise([row for row in measured if row])
     text = []
     for name in names:
         digits = 1 if name in ("SNS", "Coll") else 3
         mean = f"{found[name]['mean']:.{digits}f}"
         text.append(f"{mean} [{found[name]['low']:.1f}, {found[name]['high']:.1f}]" if digits == 1 else mean)
     return " | ".join(text)
+
+
+def seed_means(by_seed, metric):
+    """A metric's means of each seed's episodes, as a cell's text."""
+    return ", ".join(f"{np.mean([row[metric] for row in episodes if row]):.1f}" for episodes in by_seed)
 
 
 def ship(algo, files, measured, suite, folder):
@@ -130,10 +139,9 @@ def _table3(agents, score, note):
     for name, files in agents.items():
         by_seed = [score(file) for file in files]
         several = f" ({len(files)} seeds)" if len(files) > 1 else ""
-        table.append(f"| {name}{several} | {cells(over_seeds(by_seed))} |")
+        table.append(f"| {name}{several} | {cells(averaged(by_seed))} |")
         if several:
-            means = [np.mean([row["SNS"] for row in episodes if row]) for episodes in by_seed]
-            table.append(f"| *of its seeds, SNS* | {', '.join(f'{mean:.1f}' for mean in means)} |" + " |" * 4)
+            table.append(f"| *its seeds* | {seed_means(by_seed, 'SNS')} |" + " |" * 4)
         if name in PAPER:
             table.append("| *paper* | " + " | ".join(map(str, PAPER[name])) + " |")
             note(name, files, by_seed)
@@ -146,17 +154,28 @@ def _by_lcf(agents, score):
     table = ["| agent: SNS | " + " | ".join(f"({low:.2f}, {high:.2f})" for low, high in bins) + " |"]
     table.append("|---" * (1 + len(bins)) + "|")
     for name, files in agents.items():
-        by_bin = [over_seeds([score(file, lcf=lcf) for file in files]) for lcf in bins]
+        by_bin = [averaged([score(file, lcf=lcf) for file in files]) for lcf in bins]
         table.append(f"| {name} | " + " | ".join(cells(measured, ("SNS",)) for measured in by_bin) + " |")
     return table
 
 
 def _carried(robots, score, metric):
-    """Lines of the carry-over table of a metric; robots: {crowd: files of those trained in it}."""
-    table = [f"| {metric}: trained among | " + " | ".join(CROWDS) + " |", "|---" * (1 + len(CROWDS)) + "|"]
-    for crowd, files in robots.items():
-        tested = [over_seeds([score(file, pedestrian_model=among) for file in files]) for among in CROWDS]
-        table.append(f"| {crowd} | " + " | ".join(cells(measured, (metric,)) for measured in tested) + " |")
+    """Lines of the carry-over table of a metric; robots: {crowd they were trained among, or an agent's name: files}.
+
+    "elsewhere": the mean over the crowds that a robot was not trained among.
+    """
+    among = (*CROWDS, UNMET)
+    table = [f"| {metric}: trained among | " + " | ".join(among) + " | elsewhere |", "|---" * (2 + len(among)) + "|"]
+    for home, files in robots.items():
+        tested = {crowd: [score(file, pedestrian_model=crowd) for file in files] for crowd in among}
+        tested["elsewhere"] = [
+            averaged(crowds)
+            for crowds in zip(*(by_seed for crowd, by_seed in tested.items() if crowd != home), strict=True)
+        ]
+        row = [cells(averaged(by_seed), (metric,)) for by_seed in tested.values()]
+        table.append(f"| {home} | " + " | ".join(row) + " |")
+        if len(files) > 1:
+            table.append("| *its seeds* | " + " | ".join(seed_means(each, metric) for each in tested.values()) + " |")
     return table
 
 
@@ -194,7 +213,7 @@ def run(args):
     if "lcf" in args.tables:
         write("lcf.md", _by_lcf(agents, score))
     if "carry-over" in args.tables:
-        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS}
+        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS} | {name: [name] for name in SCRIPTED}
         for metric in ("SNS", "Coll"):
             write(f"carry-over-{metric}.md", _carried(carried, score, metric))
     return 0

@@ -35,7 +35,7 @@ def write_robot(folder, seed, validation, steps=1000, config=None):
 
 
 def test_seeds_are_averaged_episode_by_episode():
-    (first, second) = table3.over_seeds([[episode(80.0, Coll=2.0), episode(60.0)], [episode(90.0), episode(0.0)]])
+    (first, second) = table3.averaged([[episode(80.0, Coll=2.0), episode(60.0)], [episode(90.0), episode(0.0)]])
     assert (first["SNS"], first["Coll"], second["SNS"], second["RC"]) == (85.0, 1.0, 30.0, 1.0)
 
 
@@ -83,7 +83,23 @@ def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
 
 
 def test_an_episode_of_failed_physics_is_left_out_for_all_seeds():
-    assert table3.over_seeds([[episode(80.0), None], [episode(60.0), episode(0.0)]]) == [episode(70.0)]
+    together = table3.averaged([[episode(80.0), None], [episode(60.0), episode(0.0)]])
+    assert together == [episode(70.0), None]
+    assert table3.cells(together, ("SNS",)) == "70.0 [70.0, 70.0]"
+
+
+def test_elsewhere_is_where_a_robot_was_not_trained():
+    among = (*table3.CROWDS, table3.UNMET)
+    met = {(crowd, seed): 10.0 * index + seed for index, crowd in enumerate(among) for seed in (0, 2)}
+
+    def score(file, pedestrian_model):
+        return [episode(met[pedestrian_model, file]), None]
+
+    lines = table3._carried({"orca": [0, 2], "goal": [0]}, score, "SNS")
+    assert lines[0].split(" | ")[1:] == ["social-force", "orca", "ipo", "macid", "macid-touch", "elsewhere |"]
+    assert [cell.split()[0] for cell in lines[2].split(" | ")[1:]] == ["1.0", "11.0", "21.0", "31.0", "41.0", "23.5"]
+    assert lines[3].split(" | ")[1] == "0.0, 2.0" and lines[3].split(" | ")[-1] == "22.5, 24.5 |"
+    assert lines[4].split(" | ")[-1].startswith("20.0 ") and len(lines) == 5
 
 
 @pytest.mark.parametrize(
