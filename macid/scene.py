@@ -50,7 +50,7 @@ def base_spec(size):
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.stat.extent = size / 2
     spec.stat.center = [0, 0, 0.5]
-    spec.visual.map.znear = 0.05 / (size / 2)
+    spec.visual.map.znear = 0.005 / (size / 2)  # a robot's camera lies less than 2 cm behind its front
     spec.visual.map.zfar = 4.0 * size / (size / 2)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.quality.shadowsize = 4096

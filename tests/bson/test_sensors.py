@@ -250,6 +250,15 @@ def test_a_person_is_seen_as_a_true_cylinder():
 
 
 @draws
+def test_whom_the_front_touches_fills_the_picture():
+    world = make(EMPTY.replace(num_pedestrians=1), DepthCamera(), RgbCamera())
+    put(world, (0.0, 0.0, 0.0), [[world.robot.config.half_length + RADIUS - 0.005, 0.0, 0.0]])
+    assert (world.readings["depth"][0] == DepthCamera().range_min).all()
+    red, green, blue = world.readings["rgb"][0].reshape(-1, 3).astype(int).T
+    assert (green > red + 20).all() and (green > blue + 20).all()
+
+
+@draws
 def test_pictures_have_no_shadows_and_no_robot_in_them():
     around = RgbCamera(position=(0.0, 0.0, 0.1), pitch=0.5, field=(2.0, 2.0))  # inside the chassis
     world = make(EMPTY.replace(num_pedestrians=1), around)
