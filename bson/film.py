@@ -109,7 +109,13 @@ class Film(drawing.Stage):
     def _aim_front(self):
         axes = self.data.cam_xmat[self._camera].reshape(3, 3)
         fovy = math.radians(self.model.cam_fovy[self._camera])
-        self.look(self.data.cam_xpos[self._camera], -axes[:, 2], axes[:, 1], NEAR * math.tan(fovy / 2))
+        self.look(
+            self.data.cam_xpos[self._camera],
+            -axes[:, 2],
+            axes[:, 1],
+            scene.CAMERA_NEAR * math.tan(fovy / 2),
+            scene.CAMERA_NEAR,
+        )
 
     def _aim_chase(self, episode, step):
         """Behind and above the robot, higher where a wall would hide it; returns where that is, (3,) [m]."""

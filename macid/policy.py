@@ -154,6 +154,9 @@ def load_policy(name):
 def _read(path, _changed):
     """One Policy a file, so that what was compiled for it serves again."""
     policy = Policy(*read_network(path))
+    wanted, given = FEATURES + 1, policy.layers[0][0].shape[0]
+    if given != wanted:
+        raise ValueError(f"'{path}' is no pedestrians' policy: it takes {given} numbers, not {wanted}.")
     for array in (array for layer in policy.layers for array in layer):
         array.flags.writeable = False
     return policy
@@ -174,6 +177,8 @@ def write_network(path, layers, recipe):
 def read_network(path):
     """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises ValueError for what is none."""
     path = pathlib.Path(path)
+    if not path.is_file():
+        raise ValueError(f"There is no policy file '{path}'.")
     try:
         with np.load(path, allow_pickle=False) as arrays:
             count = len(arrays.files) // 2

@@ -22,6 +22,7 @@ FLOOR_CONTACT = (BIT_FLOOR, 0)
 
 WALL_HEIGHT = 1.2  # [m]
 OUTER_WALL_HEIGHT = 1.6  # [m]
+CAMERA_NEAR = 0.005  # from where a camera sees; a robot's lies less than 2 cm behind its front [m]
 _PROXY_HEIGHT = 0.5  # of the sphere's centre: below every wall's top [m]
 
 FLOOR_RGBA = (0.80, 0.81, 0.82, 1.0)
@@ -50,7 +51,7 @@ def base_spec(size):
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.stat.extent = size / 2
     spec.stat.center = [0, 0, 0.5]
-    spec.visual.map.znear = 0.005 / (size / 2)  # a robot's camera lies less than 2 cm behind its front
+    spec.visual.map.znear = CAMERA_NEAR / (size / 2)
     spec.visual.map.zfar = 4.0 * size / (size / 2)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.quality.shadowsize = 4096

@@ -160,35 +160,29 @@ def _by_lcf(agents, score):
 
 
 def _carried(robots, score, metric):
-    """Lines of the carry-over table of a metric; robots: {crowd they were trained among, or an agent's name: files}.
-
-    "elsewhere": the mean over the crowds that a robot was not trained among.
-    """
+    """Lines of the carry-over table of a metric; robots: {crowd they were trained among, or an agent's name: files}."""
     among = (*CROWDS, UNMET)
-    table = [f"| {metric}: trained among | " + " | ".join(among) + " | elsewhere |", "|---" * (2 + len(among)) + "|"]
+    table = [f"| {metric}: trained among | " + " | ".join(among) + " | mean |", "|---" * (2 + len(among)) + "|"]
     for home, files in robots.items():
-        tested = {crowd: [score(file, pedestrian_model=crowd) for file in files] for crowd in among}
-        tested["elsewhere"] = [
-            averaged(crowds)
-            for crowds in zip(*(by_seed for crowd, by_seed in tested.items() if crowd != home), strict=True)
-        ]
-        row = [cells(averaged(by_seed), (metric,)) for by_seed in tested.values()]
+        tested = [[score(file, pedestrian_model=crowd) for file in files] for crowd in among]
+        tested.append([averaged(crowds) for crowds in zip(*tested, strict=True)])
+        row = [cells(averaged(by_seed), (metric,)) for by_seed in tested]
         table.append(f"| {home} | " + " | ".join(row) + " |")
         if len(files) > 1:
-            table.append("| *its seeds* | " + " | ".join(seed_means(each, metric) for each in tested.values()) + " |")
+            table.append("| *its seeds* | " + " | ".join(seed_means(by_seed, metric) for by_seed in tested) + " |")
     return table
 
 
 def run(args):
     """Makes the tables; returns the exit code."""
-    out = output_folder(args.out)
-    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if args.seeds < 1 or not 1 <= args.steps < 1e12:
         raise UsageError("--seeds and --steps must be at least 1.")
     if args.ship and (args.episodes is not None or "table3" not in args.tables):
         raise UsageError("--ship notes the scores of Table III: leave --episodes out, and table3 among --tables.")
     suite, steps = load_suite("paper"), int(args.steps)
     episodes = suite.drawn(args.episodes, 0)
+    out = output_folder(args.out)
+    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
 
     def robots(algo, crowd="macid"):
         if algo == "bc":

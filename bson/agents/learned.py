@@ -57,7 +57,9 @@ def load(name):
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
     layers, recipe = read_network(path)
     if recipe.get("output") not in _OUTPUTS:
-        raise ValueError(f"'{path}' is no robot's policy: its json has no \"output\" of {', '.join(_OUTPUTS)}.")
+        raise ValueError(
+            f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of {', '.join(_OUTPUTS)}."
+        )
 
     def factory():
         return Learned(layers, recipe["output"])

@@ -74,7 +74,7 @@ class TrainConfig:
 
 
 class _Keeper:
-    """Writes policy.npz, policy.json and curve.csv of a training: the policy that did best on the validation episodes."""
+    """Writes policy.npz and policy.json of a training, of what did best on the validation episodes, and curve.csv."""
 
     def __init__(self, config, folder):
         self.config, self.folder = config, folder
@@ -108,6 +108,11 @@ class _Keeper:
             self.best = {"layers": layers, "output": output, "steps": steps, "validation": scores}
         return scores
 
+    def log(self, row):
+        """Adds `row`, {name: number}, to the curve."""
+        self.curve.append(row)
+        write_curve(self.folder / "curve.csv", self.curve)
+
     def write(self, steps):
         """Writes the best policy so far, with its recipe."""
         best = self.best
@@ -124,8 +129,6 @@ class _Keeper:
             "versions": versions(),
         }
         write_network(self.folder / "policy", best["layers"], recipe)
-        if self.curve:
-            write_curve(self.folder / "curve.csv", self.curve)
 
 
 class _Progress(BaseCallback):
@@ -150,7 +153,7 @@ class _Progress(BaseCallback):
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
             means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
-            keeper.curve.append({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
+            keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
             self._show(steps, means)
         if steps // keeper.config.validate_every > len(keeper.validations):
             scores = keeper.validate(*export(self.model), steps)
@@ -217,10 +220,12 @@ def train(
 ):
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and curve.csv.
 
+    curve.csv is there once episodes have ended.
+
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
     the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the
-    folder has another configuration's training.
+    folder has another configuration's training, or, without `resume`, this one's.
     """
     folder = training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
     if is_done(config, folder):
@@ -247,7 +252,7 @@ def train(
 
 def train_with_bar(config, out, resume=False):
     """`train` with a progress bar on stderr, and a line for each validation."""
-    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr) as bar:
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
         def show(steps, figures, validation=False):
             if not figures and not bar.n:  # a checkpoint's, which took no time now
@@ -276,7 +281,7 @@ def _train_bc(config, keeper, show):
     x, action = select(episodes, hyperparameters.keep)
 
     def each(epoch, loss, held_out):
-        keeper.curve.append({"epoch": epoch, "loss": loss, "held_out": held_out})
+        keeper.log({"epoch": epoch, "loss": loss, "held_out": held_out})
         show(config.steps, keeper.curve[-1])
 
     layers = clone(x, action, hyperparameters, config.seed, each)

@@ -16,22 +16,23 @@ def plain(config):
 
 
 def training_folder(path, config, resume):
-    """`path` as the folder of a training: it gets config.json, and loses what an earlier one left if it isn't to go on.
+    """`path` as the folder of a training: it gets config.json.
 
-    config: a dataclass. Raises UsageError where another configuration's policy or checkpoint is there.
+    config: a dataclass. Raises UsageError where another configuration's policy or checkpoint is there, or, if it isn't
+    to go on, this one's: nothing is trained over.
     """
     folder, noted = output_folder(path), plain(config)
-    made = [folder / name for name in ("checkpoint.pkl", "policy.npz", "policy.json", "curve.csv")]
-    if any(file.exists() for file in made) and (folder / "config.json").exists():
-        before = json.loads((folder / "config.json").read_text())
+    if any((folder / name).exists() for name in ("checkpoint.pkl", "policy.npz", "policy.json", "curve.csv")):
+        before = json.loads((folder / "config.json").read_text()) if (folder / "config.json").exists() else noted
         if changed := sorted(name for name in {*before, *noted} if before.get(name) != noted.get(name)):
+            told = ", ".join(f"{name} is {before.get(name)}, not {noted.get(name)}" for name in changed)
             raise UsageError(
-                f"What is in '{folder}' is of another configuration: {' and '.join(changed)} differ. "
-                "Use another --out, or delete it."
+                f"What is in '{folder}' is of another configuration: {told}. Use another --out, or delete it."
             )
-    if not resume:
-        for file in made:
-            file.unlink(missing_ok=True)
+        if not resume:
+            raise UsageError(
+                f"This training is in '{folder}' already: --resume goes on with it. Or use another --out, or delete it."
+            )
     write_json(folder / "config.json", noted)
     return folder
 
@@ -42,7 +43,7 @@ def read_checkpoint(path):
     try:
         return pickle.loads(path.read_bytes()) if path.exists() else None
     except (EOFError, pickle.UnpicklingError, AttributeError, ImportError, TypeError) as error:
-        raise UsageError(f"'{path}' is damaged or of another version ({error!r}): leave --resume out.") from None
+        raise UsageError(f"'{path}' is damaged or of another version ({error!r}): delete it to begin anew.") from None
 
 
 def thin(rows, most):

@@ -226,7 +226,7 @@ def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
     assert recipe["from_steps"] == 128 and recipe["validation"]["SNS"] == 30.0
 
 
-def test_a_training_done_is_not_done_again_on_resume_and_anew_without(tmp_path):
+def test_a_training_done_is_never_done_again(tmp_path):
     whole = config("ppo", SMALL_PPO, steps=64)
     folder = train(whole, tmp_path)
     before = (folder / "policy.json").read_bytes()
@@ -236,9 +236,13 @@ def test_a_training_done_is_not_done_again_on_resume_and_anew_without(tmp_path):
     (folder / "checkpoint.pkl").write_bytes(b"")
     with pytest.raises(UsageError, match="damaged"):
         train(whole, tmp_path, resume=True)
-    train(whole, tmp_path)
+    (folder / "checkpoint.pkl").unlink()
+    with pytest.raises(UsageError, match="already"):
+        train(whole, tmp_path)
+    assert (folder / "policy.npz").exists()
+    train(whole, tmp_path, resume=True)
     assert json.loads((folder / "policy.json").read_text())["steps_done"] == 64
-    with pytest.raises(UsageError, match="another configuration: steps differ"):
+    with pytest.raises(UsageError, match="another configuration: steps is 64, not 128"):
         train(dataclasses.replace(whole, steps=128), tmp_path)
     assert json.loads((folder / "config.json").read_text())["steps"] == 64
 

@@ -226,6 +226,8 @@ def test_resuming_after_ctrl_c_equals_not_stopping(tmp_path, monkeypatch):
         assert policy.recipe["method"] == "macid" and policy.recipe["seed"] == seed
         assert same(policy.layers, whole[seed].layers)
         assert json.loads((folder / "config.json").read_text())["seed"] == seed
+    with pytest.raises(ValueError, match="already"):
+        train(TINY, tmp_path / "parts", seeds=2, **quiet)
     with pytest.raises(ValueError, match="of 2 seeds, not 1"):
         train(TINY, tmp_path / "parts", seeds=1, resume=True, **quiet)
 
