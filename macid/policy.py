@@ -181,7 +181,7 @@ def read_network(path):
         raise ValueError(f"There is no policy file '{path}'.")
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            count = len(arrays.files) // 2
+            count = max(1, len(arrays.files) // 2)
             layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(count))
         return layers, json.loads(path.with_suffix(".json").read_text())
     except (OSError, KeyError, ValueError) as error:

@@ -22,7 +22,7 @@ def training_folder(path, config, resume):
     to go on, this one's: nothing is trained over.
     """
     folder, noted = output_folder(path), plain(config)
-    if any((folder / name).exists() for name in ("checkpoint.pkl", "policy.npz", "policy.json", "curve.csv")):
+    if any((folder / name).exists() for name in ("checkpoint.pkl", "policy.npz", "policy.json")):
         before = json.loads((folder / "config.json").read_text()) if (folder / "config.json").exists() else noted
         if changed := sorted(name for name in {*before, *noted} if before.get(name) != noted.get(name)):
             told = ", ".join(f"{name} is {before.get(name)}, not {noted.get(name)}" for name in changed)

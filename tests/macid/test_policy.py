@@ -84,6 +84,9 @@ def test_a_broken_file_and_a_wrong_observation_are_told(tmp_path):
     (tmp_path / "bad.json").write_text(json.dumps({}))
     with pytest.raises(ValueError, match="is not a policy"):
         policy.load_policy(str(tmp_path / "bad.npz"))
+    policy.write_network(tmp_path / "empty", [], {})
+    with pytest.raises(ValueError, match="is not a policy"):
+        policy.load_policy(str(tmp_path / "empty.npz"))
     policy.write_network(tmp_path / "robot", [(np.zeros((114, 2), np.float32), np.zeros(2, np.float32))], {})
     with pytest.raises(ValueError, match="no pedestrians' policy: it takes 114 numbers, not 43"):
         policy.load_policy(str(tmp_path / "robot.npz"))
