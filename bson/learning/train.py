@@ -218,9 +218,8 @@ def is_done(config, folder):
 def train(
     config, out, resume=False, show=lambda steps, figures, validation=False: None, seconds_between_checkpoints=120
 ):
-    """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and curve.csv.
-
-    curve.csv is there once episodes have ended.
+    """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and, once
+    episodes have ended, curve.csv.
 
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
