@@ -266,11 +266,16 @@ def _agents_extra():
 
 def _train(args):
     with _agents_extra():
-        from bson.learning.train import TrainConfig, train_with_bar
+        from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, train_with_bar
 
     if not 1 <= args.steps < 1e12:
         raise UsageError(f"--steps must be from 1 to 1e12, not {args.steps}.")
-    config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
+    if args.algo not in ALGORITHMS:
+        raise UsageError(f"Unknown algorithm '{args.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
+    hyperparameters = PRESETS[args.preset][args.algo]
+    config = TrainConfig(
+        args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
+    )
     folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
@@ -423,6 +428,9 @@ def parser():
     )
     train.add_argument("--worlds", type=int, default=16, help="at once")
     train.add_argument("--seed", type=int, default=0)
+    train.add_argument(
+        "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
+    )
     _add_task(train)
     train.add_argument("--out", default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")

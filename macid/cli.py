@@ -95,23 +95,26 @@ def _watch(args):
 
 
 def _train(args):
-    from macid.learning.train import PRESETS, TrainConfig, train
+    from macid.learning.train import preset, train
 
     if args.seeds < 1:
         raise UsageError(f"--seeds must be at least 1, not {args.seeds}.")
     if args.seed < 0:
         raise UsageError(f"--seed must be at least 0, not {args.seed}.")
-    if not 1 <= args.agent_steps < 1e12:
+    if args.agent_steps is not None and not 1 <= args.agent_steps < 1e12:
         raise UsageError(f"--agent-steps must be from 1 to 1e12, not {args.agent_steps}.")
-    config = TrainConfig(
+    given = {
+        "nworld": args.worlds,
+        "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
+    }
+    config = preset(
+        args.preset,
         method=args.method,
         level=args.level,
         seed=args.seed,
         engine=args.engine,
-        nworld=args.worlds,
         period=args.period,
-        agent_steps=int(args.agent_steps),
-        ppo=PRESETS[args.preset],
+        **{name: value for name, value in given.items() if value is not None},
     )
     out = output_folder(args.out)
     train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
@@ -193,9 +196,9 @@ def parser():
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     train.add_argument("--seed", type=int, default=0, help="the first seed")
     train.add_argument("--seeds", type=int, default=1, help="how many, at once")
-    train.add_argument("--worlds", type=int, default=16, help="crowds at once")
+    train.add_argument("--worlds", type=int, help="crowds at once (default: 16; preset paper: 1)")
     train.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
-    train.add_argument("--agent-steps", type=float, default=20e6, help="budget, e.g. 20e6")
+    train.add_argument("--agent-steps", type=float, help="budget (default: 20e6; preset paper: the paper's 50e6)")
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")

@@ -40,9 +40,18 @@ def features(observed):
 
 
 def inputs(seen, lcf):
-    """Network inputs (..., FEATURES + 1): features `seen` (..., FEATURES), and the LCF (...)."""
+    """Network inputs (..., N + 1): what is `seen` (..., N), and the LCF (...), as a share of the greatest."""
     xp = seen.__array_namespace__()
     return xp.concatenate([seen, (lcf / MAX_LCF)[..., None]], axis=-1)
+
+
+def as_observed(observed):
+    """The 41 numbers as they are, as the paper feeds them."""
+    return observed
+
+
+# What networks see of an observation (..., 41): {a recipe's "inputs": (the function, how many numbers it gives)}.
+INPUTS = {"features": (features, FEATURES), "observation": (as_observed, observation.SIZE)}
 
 
 def mlp(layers, x):
@@ -86,7 +95,12 @@ class Policy:
             )
         observed = xp.asarray(observed, dtype=np.float32)
         lcf = xp.broadcast_to(xp.asarray(lcf, dtype=np.float32), observed.shape[:-1])
-        return mlp(self.layers, inputs(features(observed), lcf))
+        return mlp(self.layers, inputs(self.see(observed), lcf))
+
+    @property
+    def see(self):
+        """What the network sees of an observation: a function of INPUTS."""
+        return INPUTS[self.recipe.get("inputs", "features")][0]
 
     @property
     def period(self):
@@ -101,7 +115,7 @@ class Policy:
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch."""
         import torch
 
-        layers, goal_scale = self.layers, _GOAL_SCALE
+        layers, goal_scale, scaled = self.layers, _GOAL_SCALE, self.see is features
 
         class TorchPolicy(torch.nn.Module):
             def __init__(self):
@@ -115,18 +129,21 @@ class Policy:
 
             def forward(self, observed, lcf):
                 observed = torch.as_tensor(observed, dtype=self.linear[0].weight.dtype)
-                goal, rest, rays = observed[..., :2], observed[..., 2:5], observed[..., 5:]
-                distance = goal.norm(dim=-1, keepdim=True)
-                rest = rest / rest.new_tensor([MAX_SPEED, MAX_YAW_RATE, 1.0])
-                rays = rays.unflatten(-1, (observation.RAYS, 3))
-                rays = torch.cat([1.0 - rays[..., :1] / observation.RAY_RANGE, rays[..., 1:] / MAX_SPEED], dim=-1)
-                x = [goal / (distance + 1e-6), distance.log1p() / goal_scale, rest, rays.flatten(-2)]
+                x = self.features(observed) if scaled else [observed]
                 lcf = torch.as_tensor(lcf, dtype=observed.dtype, device=observed.device) / MAX_LCF
                 x = torch.cat([*x, lcf.expand(observed.shape[:-1])[..., None]], dim=-1)
                 for linear in self.linear[:-1]:
                     x = torch.tanh(linear(x))
                 x = self.linear[-1](x).clamp(-1.0, 1.0)
                 return torch.stack([(x[..., 0] + 1.0) * (MAX_SPEED / 2), x[..., 1] * MAX_YAW_RATE], dim=-1)
+
+            def features(self, observed):
+                goal, rest, rays = observed[..., :2], observed[..., 2:5], observed[..., 5:]
+                distance = goal.norm(dim=-1, keepdim=True)
+                rest = rest / rest.new_tensor([MAX_SPEED, MAX_YAW_RATE, 1.0])
+                rays = rays.unflatten(-1, (observation.RAYS, 3))
+                rays = torch.cat([1.0 - rays[..., :1] / observation.RAY_RANGE, rays[..., 1:] / MAX_SPEED], dim=-1)
+                return [goal / (distance + 1e-6), distance.log1p() / goal_scale, rest, rays.flatten(-2)]
 
         return TorchPolicy()
 
@@ -154,7 +171,10 @@ def load_policy(name):
 def _read(path, _changed):
     """One Policy a file, so that what was compiled for it serves again."""
     policy = Policy(*read_network(path))
-    wanted, given = FEATURES + 1, policy.layers[0][0].shape[0]
+    seen = policy.recipe.get("inputs", "features")
+    if seen not in INPUTS:
+        raise ValueError(f"'{path}': its json has \"inputs\" {seen!r}, which is none of {', '.join(INPUTS)}.")
+    wanted, given = INPUTS[seen][1] + 1, policy.layers[0][0].shape[0]
     if given != wanted:
         raise ValueError(f"'{path}' is no pedestrians' policy: it takes {given} numbers, not {wanted}.")
     for array in (array for layer in policy.layers for array in layer):

@@ -21,9 +21,9 @@ from macid.crowd import CrowdConfig
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
 from macid.layout import LEVELS, load_level
-from macid.learning.curves import plain
+from macid.learning.curves import completed, plain
 from macid.learning.methods import METHODS
-from macid.learning.train import PRESETS, TrainConfig, train
+from macid.learning.train import TrainConfig, preset, train
 from macid.policy import load_policy
 from macid.state import PHYSICS_STEP
 
@@ -33,6 +33,7 @@ PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is n
 BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
+AS_GIVEN = ("ipo", "macid")  # in the preset `paper`
 RULES = ("social-force", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
@@ -57,10 +58,12 @@ PAPER_TABLE_1 = (
 def wanted(agent_steps, seeds=None):
     """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
-    others = [TrainConfig(method="ipo", ppo=PRESETS[preset]) for preset in ("paper", "paper-ppo")]
+    others = [preset("paper-ppo", method="ipo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
-    return {
+    papers = [preset("paper", method=method) for method in AS_GIVEN]  # to the paper's own budget
+    share = agent_steps / BUDGET
+    return {replace(config, agent_steps=int(share * config.agent_steps)): seeds or OTHERS_SEEDS for config in papers} | {
         replace(config, agent_steps=int(share * agent_steps)): seeds or count
         for configs, count, share in groups
         for config in configs
@@ -72,13 +75,17 @@ def find_policies(configs, *folders):
 
     Who has the name of one of `configs` but was trained otherwise is told of and left out: tables are of equal samples.
     """
-    recipes, found = {config.name: plain(config) for config in configs}, {}
+    configs, found = {config.name: config for config in configs}, {}
     for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
         recipe = load_policy(str(file)).recipe
         name, seed = recipe.get("name", file.stem), recipe.get("seed", 0)
-        wanted = {**recipes.get(name, recipe), "seed": seed, "engine": recipe.get("engine")}
-        if other := [field for field in wanted if recipe.get(field) != wanted[field]]:
-            told = ", ".join(f"{field} is {recipe.get(field)}, not {wanted[field]}" for field in other)
+        if name in configs:
+            have = completed(recipe, configs[name])
+            wanted = {**plain(configs[name]), "seed": seed, "engine": recipe.get("engine")}
+        else:
+            have = wanted = recipe
+        if other := [field for field in wanted if have.get(field) != wanted[field]]:
+            told = ", ".join(f"{field} is {have.get(field)}, not {wanted[field]}" for field in other)
             print(f"left out: '{file}' is no {name} of these tables: {told}", file=sys.stderr, flush=True)
             continue
         found.setdefault(name, {}).setdefault(seed, file)
@@ -232,7 +239,7 @@ def run(args):
     write_bytes(out / "figure2.csv", ("\n".join(lines) + "\n").encode())
     plot(curves, out / "figure2.png")
 
-    compared = [c for c in configs if c.method in ("ipo", "copo", "macid") and c.ppo == PRESETS["fast"]]
+    compared = [c for c in configs if c.method in ("ipo", "copo", "macid") and c.ppo == TrainConfig.ppo]
     table = header("decides every", COLUMNS)
     for config in sorted(compared, key=lambda config: config.period):
         if files := policies.get(config.name):

@@ -19,7 +19,7 @@ from macid.learning.curves import plain, read_checkpoint, thin, training_folder,
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
-from macid.policy import Policy, features, inputs, mlp, to_velocity
+from macid.policy import INPUTS, Policy, inputs, mlp, to_velocity
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
@@ -28,12 +28,29 @@ _GOALS = 64  # in such a list
 _STARTS = 32  # crowds from which episodes begin
 
 
-# Named sets of hyperparameters: the paper's, and one that learns more in less time. At 50 decisions a second the paper's
+# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the paper's
 # lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it 1.3 s.
 PRESETS = {
-    "paper": learning.PpoConfig(),
-    "paper-ppo": learning.PpoConfig(batch=128, epochs=10),  # what the paper gives for its PPO
-    "fast": learning.PpoConfig(batch=4096, epochs=2, lam=0.985),
+    "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
+    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes, constant rate,
+    # eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
+    "paper": {
+        "ppo": learning.PpoConfig(
+            final_learning_rate=1e-3,
+            max_gradient_norm=None,
+            reward_scale=1.0,
+            standardize=False,
+            targets="episode",
+            cut=False,
+        ),
+        "inputs": "observation",
+        "nworld": 1,
+        "rollout": 1000,
+        "episode": 1,
+        "agent_steps": 50_000_000,
+    },
+    # What the paper gives for its PPO, a batch of 128 and 10 epochs, and its lambda; the rest as `fast`.
+    "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
 
 
@@ -51,12 +68,17 @@ class TrainConfig:
     episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
     agent_steps: int = 20_000_000  # budget
     reward: RewardWeights = RewardWeights()
-    ppo: learning.PpoConfig = PRESETS["fast"]
+    ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
+    inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
 
     @property
     def name(self):
         """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
-        presets = [name for name, ppo in PRESETS.items() if ppo == self.ppo]
+        presets = [
+            name
+            for name, fields in PRESETS.items()
+            if (fields["ppo"], fields.get("inputs", "features")) == (self.ppo, self.inputs)
+        ]
         parts = [self.method]
         if "fast" not in presets:
             parts += presets or ["custom"]
@@ -70,6 +92,19 @@ class TrainConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         physics_steps(self.period)
+        if self.inputs not in INPUTS:
+            raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not '{self.inputs}'.")
+        if self.ppo.targets == "episode" and self.episode != 1:
+            raise ValueError(
+                f"Returns to the episode's end need rollouts of whole episodes: episode must be 1, not {self.episode}."
+            )
+
+
+def preset(name, **fields):
+    """The TrainConfig of the preset `name`, with `fields` changed. Raises ValueError, naming the valid ones."""
+    if name not in PRESETS:
+        raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
+    return TrainConfig(**{**PRESETS[name], **fields})
 
 
 class Walk(NamedTuple):
@@ -118,6 +153,7 @@ class Trainer:
 
     def __init__(self, config: TrainConfig, devices=None):
         self.config, self.method = config, get_method(config.method)
+        self._see, self._seen = INPUTS[config.inputs]
         layout = load_level(config.level)
         self.number = layout.pedestrians
         model = scene.crowd_spec(layout, self.number).compile()
@@ -147,7 +183,7 @@ class Trainer:
         seed = self.config.seed if seed is None else seed
         key, key_parameters, key_walk = jax.random.split(jax.random.key(seed), 3)
         parameters = learning.init_parameters(
-            key_parameters, self.config.ppo, self.method.critics, self.method.mean_field
+            key_parameters, self.config.ppo, self.method.critics, self.method.mean_field, self._seen
         )
         meta = copo.init() if self.method.meta else None
         walk = self._begin_jitted(key_walk, meta)
@@ -223,7 +259,7 @@ class Trainer:
         substeps = physics_steps(config.period)
 
         def act(crowd, goals, key):
-            seen = features(observe(crowd, self.engine.boxes, goals))
+            seen = self._see(observe(crowd, self.engine.boxes, goals))
             x = inputs(seen, walk.lcf)
             noise = jax.random.normal(key, (*x.shape[:-1], 2))
             action = mlp(policy["layers"], x) + jnp.exp(policy["log_std"]) * noise
@@ -276,8 +312,13 @@ class Trainer:
             values, last_value = (mlp(parameters[name], seen)[..., 0] for seen in (steps["critic"], last))
             if name == "global":  # CoPO's gamma is 1: on a stream without end, the value of what is above the mean
                 gamma, reward = 1.0, reward - jnp.mean(reward)
-            redrawn = steps["arrived"] if name == "individual" else None
-            estimates[name] = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn)
+            redrawn = steps["arrived"] if name == "individual" and ppo.cut else None
+            if ppo.targets == "episode":  # nothing comes after it
+                last_value = jnp.zeros_like(last_value)
+            advantage, returns = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn)
+            if ppo.targets == "episode":
+                returns = learning.discounted_returns(reward, gamma)
+            estimates[name] = advantage, returns
         return estimates
 
     def _iterate(self, state: TrainState):
@@ -288,7 +329,9 @@ class Trainer:
         estimates = self._estimates(state.parameters, steps, last)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         shared = estimates["neighborhood"][0] if "neighborhood" in estimates else 0.0
-        advantage = learning.coordinated_advantage(estimates["individual"][0], shared, lcf, self.method.coordination)
+        advantage = learning.coordinated_advantage(
+            estimates["individual"][0], shared, lcf, self.method.coordination, config.ppo.standardize
+        )
         data = {
             **{name: steps[name] for name in ("x", "critic", "action", "log_probability")},
             "advantage": advantage,
