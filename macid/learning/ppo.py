@@ -27,24 +27,27 @@ class PpoConfig:
     entropy: float = 0.0
     standardize: bool = True  # the advantages of an update, to mean 0 and standard deviation 1
     targets: str = "lambda"  # of the values: GAE's lambda-returns, or eq. 4's returns to the episode's end ("episode")
-    cut: bool = True  # at a new goal, see `gae`; False: what follows it counts as it comes
+    arrival: str = "mean"  # at a goal, whereupon there is a new one: see `gae`
 
     def __post_init__(self):
         if self.targets not in ("lambda", "episode"):
             raise ValueError(f"targets must be 'lambda' or 'episode', not '{self.targets}'.")
+        if self.arrival not in ("mean", "end"):
+            raise ValueError(f"arrival must be 'mean' or 'end', not '{self.arrival}'.")
 
 
-def gae(reward, value, last_value, gamma, lam, redrawn=None):
+def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
     reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
     redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
     follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
+    arrival: "end" instead of "mean": an episode ends there, and what follows does not count at all.
     """
     next_value = jnp.concatenate([value[1:], last_value[None]])
     if redrawn is None:
         redrawn = jnp.zeros(reward.shape, bool)
-    typical = jnp.sum(next_value * redrawn) / jnp.maximum(jnp.sum(redrawn), 1)
+    typical = 0.0 if arrival == "end" else jnp.sum(next_value * redrawn) / jnp.maximum(jnp.sum(redrawn), 1)
     next_value = jnp.where(redrawn, typical, next_value)
     decay = jnp.where(redrawn, 0.0, gamma * lam)
 
@@ -58,14 +61,19 @@ def gae(reward, value, last_value, gamma, lam, redrawn=None):
     return advantage, advantage + value
 
 
-def discounted_returns(reward, gamma):
-    """Eq. 4's targets: the sum over t' from t to the end of gamma^(t' - t) reward (T, ...), with nothing after the end."""
+def discounted_returns(reward, gamma, ends=None):
+    """Eq. 4's targets: the sum over t' from t to the end of gamma^(t' - t) reward (T, ...).
+
+    ends (T, ...) bool: the steps with which an episode ends, beside the last one.
+    """
 
     def backward(following, now):
-        following = now + gamma * following
+        reward, end = now
+        following = reward + jnp.where(end, 0.0, gamma * following)
         return following, following
 
-    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), reward, reverse=True)[1]
+    ends = jnp.zeros(reward.shape, bool) if ends is None else ends
+    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, ends), reverse=True)[1]
 
 
 def init_mlp(key, sizes, last_scale):

@@ -41,7 +41,7 @@ PRESETS = {
             reward_scale=1.0,
             standardize=False,
             targets="episode",
-            cut=False,
+            arrival="end",
         ),
         "inputs": "observation",
         "nworld": 1,
@@ -312,12 +312,12 @@ class Trainer:
             values, last_value = (mlp(parameters[name], seen)[..., 0] for seen in (steps["critic"], last))
             if name == "global":  # CoPO's gamma is 1: on a stream without end, the value of what is above the mean
                 gamma, reward = 1.0, reward - jnp.mean(reward)
-            redrawn = steps["arrived"] if name == "individual" and ppo.cut else None
+            redrawn = steps["arrived"] if name == "individual" else None
             if ppo.targets == "episode":  # nothing comes after it
                 last_value = jnp.zeros_like(last_value)
-            advantage, returns = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn)
+            advantage, returns = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn, ppo.arrival)
             if ppo.targets == "episode":
-                returns = learning.discounted_returns(reward, gamma)
+                returns = learning.discounted_returns(reward, gamma, redrawn if ppo.arrival == "end" else None)
             estimates[name] = advantage, returns
         return estimates
 

@@ -279,7 +279,7 @@ def test_the_papers_preset_is_the_papers():
         1e-3, 1e-3, 0.2, 0.999, 0.95,
     )  # fmt: skip
     assert (given.batch, given.epochs, given.targets) == (2048, 5, "episode")
-    assert (given.max_gradient_norm, given.reward_scale, given.standardize, given.cut) == (None, 1.0, False, False)
+    assert (given.max_gradient_norm, given.reward_scale, given.standardize, given.arrival) == (None, 1.0, False, "end")
     assert (paper.level, paper.nworld, paper.rollout, paper.episode, paper.inputs) == (2, 1, 1000, 1, "observation")
     assert paper.agent_steps == 1000 * 1000 * load_level(2).pedestrians
     assert (paper.reward.distance, paper.reward.goal, paper.reward.collision) == (10.0, 1.0, 0.6)
@@ -296,19 +296,24 @@ def test_eq_4s_targets_by_hand():
 
 
 def test_the_papers_estimates_are_of_one_episode_that_ends():
-    """Values learn the whole return, advantages are GAE's of a stream with nothing after it, and no goal cuts them."""
+    """Values learn the whole return, to the goal or to T, the neighbourhood's to T; nothing follows in GAE either."""
     small = preset("paper", level=1, rollout=10, agent_steps=250)
     trainer = Trainer(small)
     state = trainer.init()
     _, steps, last = trainer._rollout(state.parameters, state.walk, state.key)
-    steps["arrived"] = jnp.ones_like(steps["arrived"])
-    advantage, returns = trainer._estimates(state.parameters, steps, last)["individual"]
-    expected = np.zeros_like(steps["individual"][0])
-    for now in reversed(range(10)):
-        expected = np.asarray(steps["individual"][now]) + 0.999 * expected
-        np.testing.assert_allclose(returns[now], expected, rtol=1e-4, atol=1e-4)
-    value = mlp(state.parameters["individual"], steps["critic"])[..., 0]
-    np.testing.assert_allclose(advantage[-1], steps["individual"][-1] - value[-1], rtol=1e-4, atol=1e-4)
+    steps["arrived"] = jnp.zeros_like(steps["arrived"]).at[4, 0, 3].set(True)
+    ended = np.asarray(steps["arrived"])
+    for name in ("individual", "neighborhood"):
+        advantage, returns = trainer._estimates(state.parameters, steps, last)[name]
+        expected = np.zeros_like(steps[name][0])
+        for now in reversed(range(10)):
+            following = np.where(ended[now], 0.0, expected) if name == "individual" else expected
+            expected = np.asarray(steps[name][now]) + 0.999 * following
+            np.testing.assert_allclose(returns[now], expected, rtol=1e-4, atol=1e-4)
+        left = steps[name] - mlp(state.parameters[name], steps["critic"])[..., 0]
+        np.testing.assert_allclose(advantage[-1], left[-1], rtol=1e-4, atol=1e-4)
+        at_the_goal = np.allclose(advantage[4, 0, 3], left[4, 0, 3], rtol=1e-4, atol=1e-4)
+        assert at_the_goal == (name == "individual")
     with pytest.raises(ValueError, match="whole episodes"):
         preset("paper", episode=2)
 
