@@ -1,48 +1,259 @@
-"""Results on disk: written to a temporary name and renamed, so that nobody reads half a file; and command-line errors."""
+"""Results on disk: checked before the work begins, written to a temporary name and renamed, so that nobody reads half a
+file, in a folder that no other run has meanwhile; and command-line errors."""
 
 import argparse
+import contextlib
+import errno
+import fcntl
 import json
 import os
 import pathlib
 import platform
+import re
+import secrets
+import stat
 import sys
 import tempfile
 from importlib import metadata
+
+_STEM = 100  # characters of a file's name that its temporary file has, too
+_LEFTOVER = re.compile(r"\.(?P<stem>.*)\.[a-z0-9_]{8}(\.webm)?", re.DOTALL)
+_ENDINGS = (".json", ".html", ".npz", ".npy", ".pkl", ".csv", ".webm", ".png", ".md")  # of what is written here
 
 
 class UsageError(ValueError):
     """A request that can't be met as it was made; the message says what is valid."""
 
 
-def output_folder(path):
-    """`path` as a writable folder, made if missing. Raises UsageError."""
-    folder = pathlib.Path(path)
+class WriteError(UsageError, OSError):
+    """A file or a folder that can't be written, as the disk is full or the folder gone; the message names it."""
+
+
+def named(path):
+    """`path` as a message has it: in quotes, without its middle where it is long."""
+    text = os.fspath(path)
+    return f"'{text}'" if len(text) <= 200 else f"'{text[:100]}...{text[-90:]}'"
+
+
+def _reason(error):
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+
+
+def _mode(path):
+    """The kind and the permissions of what `path` leads to, as `os.stat` has them; None where nothing is there."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        return os.stat(path).st_mode
+    except FileNotFoundError:
+        return None
+
+
+def _check_names(names, folder):
+    """Raises OSError where one of `names` is longer than the file system of `folder` has them, or is no name."""
+    most = os.pathconf(folder, "PC_NAME_MAX")
+    for name in names:
+        if len(os.fsencode(name)) > most:
+            raise OSError(errno.ENAMETOOLONG, f"the name {named(name)} has more than {most} bytes")
+
+
+def check_folder(path):
+    """`path` as a Path, if it is a folder that can be written to or could be made. Makes nothing. Raises UsageError."""
+    folder = there = pathlib.Path(path)
+    new = []  # names of folders that are to be made
+    try:
+        while (mode := _mode(there)) is None:
+            if there.is_symlink():
+                raise OSError(errno.ENOENT, f"the link {named(there)} leads nowhere")
+            new.append(there.name)
+            there = there.parent
+        if not stat.S_ISDIR(mode):
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        _check_names(new, there)
+        with tempfile.TemporaryFile(dir=there):
             pass
-    except OSError as error:
-        raise UsageError(f"Can't write to '{folder}': {error.strerror}. Name a folder that you can write to.") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UsageError(
+            f"Can't write to {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+        ) from None
     return folder
 
 
-def write_bytes(path, content):
-    """`content` to the file `path`, all or nothing."""
-    path = pathlib.Path(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+def output_folder(path):
+    """`path` as a writable folder, made if missing. Raises UsageError."""
+    folder = check_folder(path)
     try:
-        with os.fdopen(handle, "wb") as f:
-            f.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"Can't make the folder {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+        ) from None
+    return folder
+
+
+def _target(path):
+    """The file that writing `path` makes or replaces, links followed, and its permissions, None where it is new.
+
+    Raises OSError where that is no regular file or is protected.
+    """
+    target = pathlib.Path(os.path.realpath(path))
+    if (mode := _mode(path)) is None:
+        return target, None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "it is protected from writing")
+    return target, stat.S_IMODE(mode) & 0o777
+
+
+def check_file(path):
+    """`path` as a Path, if it is a regular file that can be replaced, or one that could be made, with its folder.
+
+    Links are followed. Makes nothing. Raises UsageError.
+    """
+    path = pathlib.Path(path)
+    try:
+        target, mode = _target(path)
+        if mode is None and path.is_symlink() and not target.parent.is_dir():
+            raise OSError(errno.ENOENT, "it is a link that leads nowhere")
+        check_folder(target.parent)
+        _check_names([target.name], next(each for each in target.parents if each.is_dir()))
+    except UsageError:
         raise
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UsageError(f"Can't write {named(path)}: {_reason(error)}. Name another file.") from None
+    return path
+
+
+def _lock(handle):
+    """Whether an open file or folder could be locked for this process: None where there are no locks.
+
+    The lock goes with the last of the open handle's copies, at the latest with the process, however that ends.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # such as a network folder without locks
+        return None
+    return True
+
+
+def _stem(name):
+    """What the temporary files of the file `name` are called by: ASCII."""
+    return name.encode("ascii", "ignore").decode()[-_STEM:]
+
+
+def _temporary(target, ending):
+    """A new empty file beside `target`: its handle, locked, and its path."""
+    while True:
+        temporary = target.parent / f".{_stem(target.name)}.{secrets.token_hex(4)}{ending}"
+        try:
+            handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)  # the umask holds
+        except FileExistsError:
+            continue
+        if _lock(handle) is not False and os.fstat(handle).st_nlink:  # not swept away before it was locked
+            return handle, temporary
+        os.close(handle)
+
+
+def remove_leftovers(folder, name=None):
+    """Removes the temporary files that killed runs left in `folder`, where it is there; of the file `name` only, if given.
+
+    A run that still goes on has its own locked: they stay.
+    """
+    try:
+        entries = os.listdir(folder)
+    except OSError:  # not there, or not to be read: nothing that could be removed
+        return
+    for entry in entries:
+        match = _LEFTOVER.fullmatch(entry)
+        if not match or not (match["stem"].endswith(_ENDINGS) if name is None else match["stem"] == _stem(name)):
+            continue
+        path = pathlib.Path(folder, entry)
+        with contextlib.suppress(OSError):
+            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode) and _lock(handle):
+                    path.unlink()
+            finally:
+                os.close(handle)
+
+
+@contextlib.contextmanager
+def new_file(path, ending=""):
+    """A file to be filled in a `with`, by its handle or its path, that then becomes `path`, or goes where that fails.
+
+    ending: of its name meanwhile. A file that is replaced keeps its permissions, a link stays and its file is replaced.
+    Raises WriteError, which names `path`.
+    """
+    path = pathlib.Path(path)
+    try:
+        target, mode = _target(path)
+        remove_leftovers(target.parent, target.name)
+        handle, temporary = _temporary(target, ending)
+        try:
+            if mode is not None:
+                os.chmod(temporary, mode)
+            yield handle, temporary
+            os.replace(temporary, target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
+        finally:
+            os.close(handle)
+    except WriteError:
+        raise
+    except OSError as error:
+        gone = not os.path.isdir(os.path.dirname(os.path.realpath(path)))
+        reason = f"there is no folder {named(path.parent)}" if gone else _reason(error)
+        told = WriteError(f"Can't write {named(path)}: {reason}.")
+        told.errno = error.errno
+        raise told from None
+
+
+def write_bytes(path, content):
+    """`content` to the file `path`, all or nothing. Raises WriteError."""
+    with new_file(path) as (handle, _), open(handle, "wb", closefd=False) as f:
+        f.write(content)
 
 
 def write_json(path, content):
-    """`content` as JSON to the file `path`, all or nothing."""
+    """`content` as JSON to the file `path`, all or nothing. Raises WriteError."""
     write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+@contextlib.contextmanager
+def lock_folder(path, alone=()):
+    """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
+
+    What killed runs left there half-written is removed. Where the work fails and leaves nothing, or only new files of the
+    names `alone`, such as a configuration, these and the folders made for it go again. A process that was killed locks
+    nothing. Raises UsageError where another run has the folder or it can't be written.
+    """
+    folder = check_folder(path)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    output_folder(folder)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        if _lock(handle) is False:
+            raise UsageError(f"Another run is at work in {named(folder)}. Wait until it ends, or use another folder.")
+        remove_leftovers(folder)
+        before = set(os.listdir(folder))
+        try:
+            yield folder
+        except BaseException:
+            with contextlib.suppress(OSError):
+                new = set(os.listdir(folder)) - before
+                if new <= set(alone):
+                    for name in new:
+                        (folder / name).unlink()
+                for each in made:
+                    each.rmdir()  # if it is empty
+            raise
+    finally:
+        os.close(handle)
 
 
 def versions(*packages):
