@@ -1,6 +1,7 @@
 """Results on disk: written to a temporary name and renamed, so that nobody reads half a file; and command-line errors."""
 
 import argparse
+import contextlib
 import json
 import os
 import pathlib
@@ -8,6 +9,8 @@ import platform
 import sys
 import tempfile
 from importlib import metadata
+
+from macid import start
 
 
 class UsageError(ValueError):
@@ -65,30 +68,78 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
         return super()._get_help_string(action)
 
 
+def one_line(text, most=4000):
+    """`text` as one line that every terminal can show, of at most `most` characters."""
+    text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def start_mujoco(draws=True):
+    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL then. Raises UsageError. A command that does
+    not draw goes on without OpenGL where the choice can't be had, or without MuJoCo where that isn't there."""
+    try:
+        import mujoco  # noqa: F401
+
+        return
+    except Exception as error:  # whatever its choice of OpenGL brings up
+        chosen, problem = os.environ.get("MUJOCO_GL", ""), error
+    if not draws:
+        os.environ["MUJOCO_GL"] = "disable"
+        with contextlib.suppress(ImportError):
+            import mujoco  # noqa: F401, F811
+        os.environ["MUJOCO_GL"] = chosen
+        return
+    mend = {
+        "": "Reinstall it: pip install 'mujoco>=3.17,<4'",
+        "egl": "Install EGL (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri), or unset MUJOCO_GL",
+    }.get(chosen.lower().strip(), "Unset it, or use egl")
+    raise UsageError(f"MuJoCo can't start with MUJOCO_GL='{chosen}' ({problem}). {mend}.")
+
+
 def run_command(program, main):
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
     With BSON_TRACEBACK set in the environment, errors are raised as they are.
     """
     try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # whatever its choice of GL brings up
-        chosen = os.environ.get("MUJOCO_GL", "")
-        print(
-            f"{program}: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
-            file=sys.stderr,
-        )
-        return 2
-    try:
-        return main()
-    except (ValueError, FileNotFoundError, FloatingPointError) as error:
+        code = main()
+        sys.stdout.flush()  # a full disk is told here
+        return code
+    except KeyboardInterrupt:
+        problem, code = "interrupted", start.INTERRUPTED
+    except BrokenPipeError:  # whoever reads has had enough, as `head` does
+        _drop_output()
+        return 1
+    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
         if os.environ.get("BSON_TRACEBACK"):
             raise
-        print(f"{program}: error: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # whoever reads has had enough, as `head` does
+        problem, code = f"error: {_told(error)}", 2
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _drop_output()
+    except BaseException:
+        if not start.interrupted():
+            raise
+        problem, code = "interrupted", start.INTERRUPTED
+    if start.interrupted():  # whatever came of it
+        problem, code = "interrupted", start.INTERRUPTED
+    print(f"{program}: {one_line(problem)}", file=sys.stderr)
+    return code
+
+
+def _told(error):
+    """What an error says, in a message."""
+    if isinstance(error, MemoryError):
+        return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: '{error.filename}'." if error.filename else f"{error.strerror}."
+    return str(error)
+
+
+def _drop_output():
+    """Sends what stdout still holds to nowhere, as it can't be written."""
+    try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return 130
+    except (OSError, ValueError):  # it is no file
+        pass
