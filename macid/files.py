@@ -16,6 +16,8 @@ import sys
 import tempfile
 from importlib import metadata
 
+from macid import start
+
 _STEM = 100  # characters of a file's name that its temporary file has, too
 _LEFTOVER = re.compile(r"\.(?P<stem>.*)\.[a-z0-9_]{8}(\.webm)?", re.DOTALL)
 _ENDINGS = (".json", ".html", ".npz", ".npy", ".pkl", ".csv", ".webm", ".png", ".md")  # of what is written here
@@ -31,7 +33,7 @@ class WriteError(UsageError, OSError):
 
 def named(path):
     """`path` as a message has it: in quotes, without its middle where it is long."""
-    text = os.fspath(path)
+    text = os.fsdecode(path)
     return f"'{text}'" if len(text) <= 200 else f"'{text[:100]}...{text[-90:]}'"
 
 
@@ -146,6 +148,7 @@ def _stem(name):
 
 def _temporary(target, ending):
     """A new empty file beside `target`: its handle, locked, and its path."""
+    start.cleaning_up()
     while True:
         temporary = target.parent / f".{_stem(target.name)}.{secrets.token_hex(4)}{ending}"
         try:
@@ -233,6 +236,7 @@ def lock_folder(path, alone=()):
     nothing. Raises UsageError where another run has the folder or it can't be written.
     """
     folder = check_folder(path)
+    start.cleaning_up()
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     output_folder(folder)
     handle = os.open(folder, os.O_RDONLY)
@@ -276,30 +280,121 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
         return super()._get_help_string(action)
 
 
+def one_line(text, most=4000):
+    """`text` as one line that every terminal can show, of at most `most` characters."""
+    text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def start_mujoco(draws=True):
+    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL then. Raises UsageError. A command that does
+    not draw goes on without OpenGL where the choice can't be had, or without MuJoCo where that isn't there."""
+    try:
+        import mujoco  # noqa: F401
+
+        return
+    except Exception as error:  # whatever its choice of OpenGL brings up
+        chosen, problem = os.environ.get("MUJOCO_GL", ""), error
+    if not draws:
+        os.environ["MUJOCO_GL"] = "disable"
+        with contextlib.suppress(ImportError):
+            import mujoco  # noqa: F401, F811
+        os.environ["MUJOCO_GL"] = chosen
+        return
+    mend = {
+        "": "Reinstall it: pip install 'mujoco>=3.17,<4'",
+        "egl": "Install EGL (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri), or unset MUJOCO_GL",
+    }.get(chosen.lower().strip(), "Unset it, or use egl")
+    raise UsageError(f"MuJoCo can't start with MUJOCO_GL='{chosen}' ({problem}). {mend}.")
+
+
+class _Stream:
+    """A standard stream that never stops the work: once it can't be written, as on a full disk or in a pipe that nobody reads,
+    what comes is dropped. What its encoding lacks is escaped.
+
+    problem: the first OSError.
+    """
+
+    def __init__(self, stream):
+        self._stream = open(os.devnull, "w") if stream is None else stream  # None: it was closed before Python began
+        self.problem = None
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+    def write(self, text):
+        try:
+            return self._stream.write(text)
+        except UnicodeEncodeError:
+            encoding = self._stream.encoding
+            return self.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        except OSError as error:
+            self._drop(error)
+            return len(text)
+
+    def flush(self):
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._drop(error)
+
+    def _drop(self, error):
+        """Sends what the stream still holds and what will come to nowhere."""
+        self.problem = self.problem or error
+        with contextlib.suppress(OSError, ValueError):  # it is no file
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
 def run_command(program, main):
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
-    With BSON_TRACEBACK set in the environment, errors are raised as they are.
+    What can't be printed stops nothing that is to be written; in the end that is code 2, or 1 and no word where nobody reads
+    any more, as after `head`. With BSON_TRACEBACK set in the environment, errors are raised as they are.
     """
-    try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # whatever its choice of GL brings up
-        chosen = os.environ.get("MUJOCO_GL", "")
-        print(
-            f"{program}: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
-            file=sys.stderr,
-        )
-        return 2
+    output, errors, ended = _Stream(sys.stdout), _Stream(sys.stderr), None
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+        try:
+            code = _answer(program, main)
+        except SystemExit as end:  # of the parser, after its help
+            ended, code = end, end.code
+        output.flush()
+        errors.flush()
+        if not code and output.problem:
+            if isinstance(output.problem, BrokenPipeError):
+                return 1
+            print(f"{program}: error: Can't print: {_reason(output.problem)}.", file=errors)
+            return 2
+    if ended:
+        raise ended
+    return code
+
+
+def _answer(program, main):
+    """`main()`'s exit code, or that of its error, which is told."""
     try:
         return main()
-    except (ValueError, FileNotFoundError, FloatingPointError) as error:
+    except KeyboardInterrupt:
+        problem, code = "interrupted", start.INTERRUPTED
+    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
         if os.environ.get("BSON_TRACEBACK"):
             raise
-        print(f"{program}: error: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # whoever reads has had enough, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return 130
+        problem, code = f"error: {_told(error)}", 2
+    except BaseException:
+        if not start.interrupted():
+            raise
+        problem, code = "interrupted", start.INTERRUPTED
+    if start.interrupted():  # whatever came of it
+        problem, code = "interrupted", start.INTERRUPTED
+    print(f"{program}: {one_line(problem)}", file=sys.stderr)
+    return code
+
+
+def _told(error):
+    """What an error says, in a message."""
+    if isinstance(error, MemoryError):
+        return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: {named(error.filename)}." if error.filename else f"{error.strerror}."
+    return str(error)
