@@ -22,7 +22,12 @@ from macid.command import (
 from macid.files import (
     HelpFormatter,
     UsageError,
+    check_file,
+    check_folder,
+    lock_folder,
+    new_folder,
     output_folder,
+    remove_leftovers,
     run_command,
     start_mujoco,
     write_bytes,
@@ -203,40 +208,43 @@ def _evaluate(args):
     track = make_track(*track_names)
     for cell in cells:
         _check_spawn(cell.config, seeds)
-    out = output_folder(args.out)
-    if (out / "results.json").is_dir():
-        raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
+    out = check_folder(args.out)
+    for file in (out / "results.json", out / "report.html", *(out / "videos").glob("seed-*.webm")):
+        check_file(file)
+    check_folder(out / "videos")
     follows_from = basis(args.agent, track_names, cells, args.paired)
-    unfinished = Unfinished(out, follows_from, args.resume)
-    played = []
-    for cell in cells:
-        name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
-        played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
-    content = results(
-        args.agent,
-        suite.name,
-        cells,
-        played,
-        suite_digest=suite.digest if not changes else None,
-        task_digest=files_digest(follows_from),
-        track=[track_names[0], sensor_label(track_names[1])],
-        sensors=sensor_settings(track.sensors),
-        paired=args.paired,
-        overrides={key: str(value) for key, value in changes.items()},
-        frozen_seeds=args.seed == 0,
-        command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
-    )
-    print(format_summary(content), flush=True)
-    # What an earlier run left here does not belong to these results.
-    for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
-        stale.unlink(missing_ok=True)
-    write_json(out / "results.json", content)
-    played = [sound(episodes) for episodes in played]
-    videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
-    write_bytes(
-        out / "report.html", make_report(content, [e for each in played for e in each], videos, why_not).encode()
-    )
-    unfinished.discard()
+    with lock_folder(out):
+        unfinished = Unfinished(out, follows_from, args.resume)
+        played = []
+        for cell in cells:
+            name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
+            played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
+        content = results(
+            args.agent,
+            suite.name,
+            cells,
+            played,
+            suite_digest=suite.digest if not changes else None,
+            task_digest=files_digest(follows_from),
+            track=[track_names[0], sensor_label(track_names[1])],
+            sensors=sensor_settings(track.sensors),
+            paired=args.paired,
+            overrides={key: str(value) for key, value in changes.items()},
+            frozen_seeds=args.seed == 0,
+            command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
+        )
+        # What an earlier run left here does not belong to these results.
+        remove_leftovers(out / "videos")
+        for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
+            if not stale.is_symlink():
+                stale.unlink(missing_ok=True)
+        write_json(out / "results.json", content)
+        print(format_summary(content), flush=True)
+        played = [sound(episodes) for episodes in played]
+        videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
+        report = make_report(content, [e for each in played for e in each], videos, why_not)
+        write_bytes(out / "report.html", report.encode())
+        unfinished.discard()
     print(f"Written: {out / 'results.json'}, {out / 'report.html'}" + "".join(f", {path}" for path, _ in videos))
     return 0
 
@@ -245,9 +253,12 @@ def _compare(args):
     from bson.compare import compare, format_comparison, load_run, make_page
 
     content = compare([load_run(source) for source in args.results])
-    out = output_folder(args.out)
-    write_json(out / "compare.json", content)
-    write_bytes(out / "compare.html", make_page(content).encode())
+    page, out = make_page(content), check_folder(args.out)
+    for file in ("compare.json", "compare.html"):
+        check_file(out / file)
+    with lock_folder(out):
+        write_json(out / "compare.json", content)
+        write_bytes(out / "compare.html", page.encode())
     print(format_comparison(content))
     print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
     return 0
@@ -281,12 +292,10 @@ def _render(args):
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    if path.is_dir():
-        raise UsageError(f"--out '{path}' is a folder. Name a file.")
+    check_file(path)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
-    output_folder(path.parent)
     with _progress(args.agent, 1) as progress:
         (episode,) = run_episodes(make_agent, config, track, [args.seed], args.agent, progress)
     if episode.fault:
@@ -296,9 +305,11 @@ def _render(args):
         step = len(episode.pose) // 2 if args.step is None else args.step
         if not -len(episode.pose) <= step < len(episode.pose):
             raise UsageError(f"--step must be below {len(episode.pose)}, the episode's length, not {step}.")
-        film.still(model, episode, path, step)
+        with new_folder(path.parent):
+            film.still(model, episode, path, step)
     else:
-        film.film(model, episode, path, title=args.agent)
+        with new_folder(path.parent):
+            film.film(model, episode, path, title=args.agent)
     print(f"Written: {path}")
     return 0
 
@@ -341,10 +352,7 @@ def _bench(args):
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
     if args.out:
-        path = pathlib.Path(args.out)
-        output_folder(path.parent)
-        if path.is_dir():
-            raise UsageError(f"--out '{path}' is a folder. Name a file.")
+        path = check_file(args.out)
     if args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
@@ -353,7 +361,8 @@ def _bench(args):
         with _agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
     if args.out:
-        write_json(path, {"machine": bench.machine(), "rows": rows})
+        with new_folder(path.parent):
+            write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
 
 

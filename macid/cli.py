@@ -14,7 +14,16 @@ from macid.command import (
     check_words,
     name,
 )
-from macid.files import HelpFormatter, UsageError, output_folder, run_command, start_mujoco, write_json
+from macid.files import (
+    HelpFormatter,
+    UsageError,
+    check_file,
+    check_folder,
+    new_folder,
+    run_command,
+    start_mujoco,
+    write_json,
+)
 
 _MOST_SEEDS = 1024  # trained at once
 
@@ -38,18 +47,16 @@ def _evaluate(args):
     else:
         ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
     configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = pathlib.Path(args.out)
-    if out.is_dir():
-        raise UsageError(f"--out '{out}' is a folder. Name a JSON file.")
-    output_folder(out.parent)
+    out = check_file(args.out)
     rows = []
     for level in args.levels:
         print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
         rows += [
             evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
         ]
+    with new_folder(out.parent):
+        write_json(out, rows)
     print(format_table(rows))
-    write_json(out, rows)
     print(f"Written to {out}")
     return 0
 
@@ -67,8 +74,7 @@ def _watch(args):
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    if path.is_dir():
-        raise UsageError(f"--out '{path}' is a folder. Name a file.")
+    check_file(path)
     if not 0 < args.seconds <= 600:
         raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
     if args.follow is not None and not 0 <= args.follow < people:
@@ -83,19 +89,19 @@ def _watch(args):
     config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
-    output_folder(path.parent)
     print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
     recording = watch.record(args.pedestrian, args.level, config, args.seed)
-    if path.suffix == ".png":
-        watch.still(recording, path, args.at, args.follow, args.scale)
-    else:
-        with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
+    with new_folder(path.parent):
+        if path.suffix == ".png":
+            watch.still(recording, path, args.at, args.follow, args.scale)
+        else:
+            with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
 
-            def progress(done, total):
-                bar.total = total
-                bar.update()
+                def progress(done, total):
+                    bar.total = total
+                    bar.update()
 
-            watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+                watch.film(recording, path, args.speed, args.follow, args.scale, progress)
     print(f"Written: {path}")
     return 0
 
@@ -113,7 +119,7 @@ def _train(args):
         agent_steps=int(args.agent_steps),
         ppo=PRESETS[args.preset],
     )
-    out = output_folder(args.out)
+    out = check_folder(args.out)
     train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
     for seed in range(args.seed, args.seed + args.seeds):
         folder = out / f"{config.name}-{seed}"
@@ -128,14 +134,13 @@ def _bench(args):
     for level in args.levels:
         load_level(level)
     if args.out:
-        output_folder(pathlib.Path(args.out).parent)
-        if pathlib.Path(args.out).is_dir():
-            raise UsageError(f"--out '{args.out}' is a folder. Name a JSON file.")
+        check_file(args.out)
     rows = bench.run(
         args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
     )
     if args.out:
-        write_json(args.out, rows)
+        with new_folder(pathlib.Path(args.out).parent):
+            write_json(args.out, rows)
     return 0
 
 

@@ -228,36 +228,50 @@ def write_json(path, content):
 
 
 @contextlib.contextmanager
+def new_folder(path):
+    """`path` as a writable folder, made if missing; where what is done in the `with` fails and leaves it empty, it goes again.
+
+    Raises UsageError.
+    """
+    folder = check_folder(path)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    start.cleaning_up()
+    try:
+        yield output_folder(folder)
+    except BaseException:
+        with contextlib.suppress(OSError):  # not empty, or not made
+            for each in made:
+                each.rmdir()
+        raise
+
+
+@contextlib.contextmanager
 def lock_folder(path, alone=()):
     """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
 
     What killed runs left there half-written is removed. Where the work fails and leaves nothing, or only new files of the
-    names `alone`, such as a configuration, these and the folders made for it go again. A process that was killed locks
-    nothing. Raises UsageError where another run has the folder or it can't be written.
+    names `alone`, such as a configuration, these and the folder go again. A process that was killed locks nothing. Raises
+    UsageError where another run has the folder or it can't be written.
     """
-    folder = check_folder(path)
-    start.cleaning_up()
-    made = [each for each in (folder, *folder.parents) if not each.exists()]
-    output_folder(folder)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        if _lock(handle) is False:
-            raise UsageError(f"Another run is at work in {named(folder)}. Wait until it ends, or use another folder.")
-        remove_leftovers(folder)
-        before = set(os.listdir(folder))
+    with new_folder(path) as folder:
+        handle = os.open(folder, os.O_RDONLY)
         try:
-            yield folder
-        except BaseException:
-            with contextlib.suppress(OSError):
-                new = set(os.listdir(folder)) - before
-                if new <= set(alone):
-                    for name in new:
-                        (folder / name).unlink()
-                for each in made:
-                    each.rmdir()  # if it is empty
-            raise
-    finally:
-        os.close(handle)
+            if _lock(handle) is False:
+                raise UsageError(
+                    f"Another run is at work in {named(folder)}. Wait until it ends, or use another folder."
+                )
+            remove_leftovers(folder)
+            before = set(os.listdir(folder))
+            try:
+                yield folder
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    if (new := set(os.listdir(folder)) - before) <= set(alone):
+                        for name in new:
+                            (folder / name).unlink()
+                raise
+        finally:
+            os.close(handle)
 
 
 def versions(*packages):

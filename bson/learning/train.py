@@ -25,7 +25,7 @@ from bson.metrics import measure
 from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
-from macid.files import write_bytes
+from macid.files import lock_folder, write_bytes
 from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
 from macid.policy import write_network
 
@@ -224,9 +224,16 @@ def train(
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
     the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the
-    folder has another configuration's training, or, without `resume`, this one's.
+    folder has another configuration's training, or, without `resume`, this one's, or if another process trains there.
     """
-    folder = training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
+    path = pathlib.Path(out) / f"{config.name}-{config.seed}"
+    with lock_folder(path, alone=("config.json",)):
+        return _train(config, path, resume, show, seconds_between_checkpoints)
+
+
+def _train(config, path, resume, show, seconds_between_checkpoints):
+    """`train` in the folder `path`, which is locked."""
+    folder = training_folder(path, config, resume)
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)

@@ -1,5 +1,6 @@
 """The training loop: many worlds of a crowd that never stops, rolled out and learned from, all in one jitted step."""
 
+import contextlib
 import dataclasses
 import pathlib
 import pickle
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import geometry, physics, scene
-from macid.files import versions, write_bytes
+from macid.files import lock_folder, versions, write_bytes
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
@@ -327,10 +328,20 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     the first seed's. With MJX and several devices, they share the work.
 
     resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one. Raises ValueError if it is another
-    configuration's, FloatingPointError if the training diverges.
+    configuration's or another process trains there, FloatingPointError if the training diverges.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
-    folders = [training_folder(pathlib.Path(out) / f"{each.name}-{each.seed}", each, resume) for each in configs]
+    paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
+    with contextlib.ExitStack() as held:
+        for path in paths:
+            held.enter_context(lock_folder(path, alone=("config.json",)))
+        return _train(configs, paths, resume, show, minutes_between_checkpoints)
+
+
+def _train(configs, paths, resume, show, minutes_between_checkpoints):
+    """`train`, of `configs` in the folders `paths`, which are locked."""
+    config, seeds = configs[0], len(configs)
+    folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
     checkpoint = folders[0] / "checkpoint.pkl"
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
