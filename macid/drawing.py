@@ -455,7 +455,7 @@ def write_webm(path, pictures, number, fps, progress=None):
         raise ValueError(f"A film is a .webm file, not {named(path.name)}.")
     with contextlib.closing(pictures), new_file(path, ".webm") as (_, temporary), _ascii_path(temporary) as file:
         writer, done = cv2.VideoWriter(), 0
-        with ThreadPoolExecutor(1) as encoder:
+        with ThreadPoolExecutor(1) as encoder, _no_warnings():
             try:
                 written = None
                 for done, picture in enumerate(pictures, start=1):
@@ -507,6 +507,19 @@ def _ascii_path(path):
             os.close(handle)
     else:
         yield str(path)
+
+
+@contextlib.contextmanager
+def _no_warnings():
+    """Lets OpenCV not warn, at each picture that a full disk does not take: `_check_film` tells of it."""
+    import cv2
+
+    log = cv2.utils.logging
+    level = log.setLogLevel(log.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
 
 
 @contextlib.contextmanager

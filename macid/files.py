@@ -118,7 +118,8 @@ def check_file(path):
         target, mode = _target(path)
         if mode is None and path.is_symlink() and not target.parent.is_dir():
             raise OSError(errno.ENOENT, "it is a link that leads nowhere")
-        check_folder(target.parent)
+        for folder in {path.parent, target.parent}:
+            check_folder(folder)
         _check_names([target.name], next(each for each in target.parents if each.is_dir()))
     except UsageError:
         raise
