@@ -19,6 +19,7 @@ from macid.files import (
     UsageError,
     check_file,
     check_folder,
+    named,
     output_folder,
     remove_leftovers,
     write_bytes,
@@ -143,11 +144,11 @@ class Unfinished:
 
 def _read_basis(path):
     """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
-    cure = "Delete it, or leave out --resume, to begin anew."
     try:
-        basis = parse(path, "basis of an evaluation", read_bytes(path, "basis of an evaluation", _MOST_BASIS))
+        basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
+        problem = None if isinstance(basis, dict) else "it is no object"
     except UsageError as error:
-        raise UsageError(f"{error} {cure}") from None
-    if not isinstance(basis, dict):
-        raise UsageError(f"'{path}' is not what an evaluation writes: no object. {cure}")
+        problem = str(error).rstrip(".")
+    if problem:
+        raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
     return basis
