@@ -54,7 +54,7 @@ def _check_names(names, folder):
     most = os.pathconf(folder, "PC_NAME_MAX")
     for name in names:
         if len(os.fsencode(name)) > most:
-            raise OSError(errno.ENAMETOOLONG, f"the name {named(name)} has more than {most} bytes")
+            raise OSError(errno.ENAMETOOLONG, f"a name in it has more than {most} bytes")
 
 
 def check_folder(path):
