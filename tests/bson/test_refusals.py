@@ -26,7 +26,6 @@ TASK = [  # what is wrong with a task
     ["--set", "robot=nowhere.toml"],
     ["--set", "robot=empty"],
     ["--set", "pedestrian_model=nobody"],
-    ["--set", "pedestrian_model=empty.npz"],
     ["--set", "horizon=0"],
 ]
 SETTING = [
@@ -44,7 +43,7 @@ SETTING = [
     ["--seed", "x"],
 ]
 LEVEL = [["--levels", "9"], ["--levels", "nowhere.toml"]]
-CROWD = [["--pedestrian", "nobody"], ["--pedestrian", "empty.npz"], ["--period", "0.03"], ["--seed", "-1"]]
+CROWD = [["--pedestrian", "nobody"], ["--period", "0.03"], ["--seed", "-1"]]
 
 # {name: (words, the flag of the results, what they are called, what can be wrong with the rest)}
 COMMANDS = {
@@ -103,7 +102,7 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("place")
     for name in ("folder", "there", "there/unfinished", "there/videos"):
         (folder / name).mkdir()
-    for name in ("file", "empty", "empty.npz"):
+    for name in ("file", "empty"):
         (folder / name).touch()
     os.mkfifo(folder / "fifo")
     (folder / "circle").symlink_to("circle")
@@ -151,13 +150,21 @@ def test_a_refusal_of_any_kind_leaves_everything_as_it_was(place, data):
 PLACES = [(command, where) for command in COMMANDS for where in (WRONG_FOLDERS if COMMANDS[command][2] in FOLDERS else WRONG_FILES)]
 
 
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Results of two agents."""
+    folders = [str(tmp_path_factory.mktemp(agent)) for agent in ("stop", "goal")]
+    for agent, folder in zip(("stop", "goal"), folders, strict=True):
+        words = [*COMMANDS["evaluate"][0][1:], "--agent", agent, "--episodes", "2", "--videos", "0", "--out", folder]
+        assert bson.cli.main(words) == 0
+    return folders
+
+
 @pytest.mark.parametrize(("command", "where"), PLACES)
-def test_what_is_in_the_place_of_the_results_is_told_before_the_work(place, command, where):
+def test_what_is_in_the_place_of_the_results_is_told(place, runs, command, where):
     """All else is right."""
     words, flag, name, _ = COMMANDS[command]
-    if command in ("compare", "leaderboard"):
-        pytest.skip("they read results first")
-    refused(place, [*words, flag, where])
+    refused(place, [*words, *(runs if command in ("compare", "leaderboard") else []), flag, where])
 
 
 @pytest.mark.parametrize("name", ["results.json", "report.html", "videos", "unfinished", "unfinished/basis.json"])
