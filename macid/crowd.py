@@ -44,6 +44,7 @@ class CrowdConfig:
         return round(self.duration / self.period)
 
 
+_UNROLLED = 10  # physics steps of a decision up to which XLA compiles each of them: usual periods are faster so
 STALLED = 0.1  # below this speed a person stands [m/s]
 
 
@@ -120,13 +121,23 @@ class Crowd:
         """`step`, and what it brought, with rewards by `weights` (a collision: any contact during the decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
-        first = before = self.engine.read(state)
-        for _ in range(self.config.substeps):
+        first = after = self.engine.read(state)
+
+        def substep(_, carried):
+            state, before, collisions, travelled = carried
             state = self.engine.step(state, command)
             after = self.engine.read(state)
             collisions = collisions + (after.contact & episode.walking)
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
-            before = after
+            return state, after, collisions, travelled
+
+        carried = state, after, collisions, travelled
+        if self.config.substeps <= _UNROLLED:
+            for number in range(self.config.substeps):
+                carried = substep(number, carried)
+        else:
+            carried = jax.lax.fori_loop(0, self.config.substeps, substep, carried)
+        state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
         away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)
