@@ -44,7 +44,6 @@ class CrowdConfig:
         return round(self.duration / self.period)
 
 
-_UNROLLED = 10  # physics steps of a decision up to which XLA compiles each of them: usual periods are faster so
 STALLED = 0.1  # below this speed a person stands [m/s]
 
 
@@ -123,7 +122,7 @@ class Crowd:
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
         first = after = self.engine.read(state)
 
-        def substep(_, carried):
+        def substep(carried):
             state, before, collisions, travelled = carried
             state = self.engine.step(state, command)
             after = self.engine.read(state)
@@ -131,12 +130,7 @@ class Crowd:
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
             return state, after, collisions, travelled
 
-        carried = state, after, collisions, travelled
-        if self.config.substeps <= _UNROLLED:
-            for number in range(self.config.substeps):
-                carried = substep(number, carried)
-        else:
-            carried = jax.lax.fori_loop(0, self.config.substeps, substep, carried)
+        carried = physics.repeat(substep, (state, after, collisions, travelled), self.config.substeps)
         state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)

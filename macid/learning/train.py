@@ -235,13 +235,18 @@ class Trainer:
             key_action, key_goal = jax.random.split(key)
             x, critic, action, log_probability = act(crowd, goals, key_action)
             command = to_command(to_velocity(action), crowd.yaw)
-            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
-            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
-            for _ in range(substeps):
+
+            def substep(carried):
+                state, _, steps_in_contact, pairs = carried
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
                 steps_in_contact = steps_in_contact + after.contact
-                pairs = pairs | physics.touching_people(after.position)
+                return state, after, steps_in_contact, pairs | physics.touching_people(after.position)
+
+            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
+            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
+            carried = physics.repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
+            state, after, steps_in_contact, pairs = carried
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
             arrived = distance <= GOAL_RADIUS
