@@ -208,6 +208,7 @@ def _evaluate(args):
         raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
     follows_from = basis(args.agent, track_names, cells, args.paired)
     unfinished = Unfinished(out, follows_from, args.resume)
+    start.cleaning_up()
     played = []
     for cell in cells:
         name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
@@ -287,6 +288,7 @@ def _render(args):
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
     output_folder(path.parent)
+    start.cleaning_up()
     with _progress(args.agent, 1) as progress:
         (episode,) = run_episodes(make_agent, config, track, [args.seed], args.agent, progress)
     if episode.fault:
@@ -317,6 +319,7 @@ def _train(args):
         from bson.learning.train import TrainConfig, train_with_bar
 
     config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
+    start.cleaning_up()
     folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"

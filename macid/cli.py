@@ -85,6 +85,7 @@ def _watch(args):
         raise UsageError(f"No pictures here: {problem}")
     output_folder(path.parent)
     print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
+    start.cleaning_up()
     recording = watch.record(args.pedestrian, args.level, config, args.seed)
     if path.suffix == ".png":
         watch.still(recording, path, args.at, args.follow, args.scale)
