@@ -328,6 +328,7 @@ def _train(args):
         from bson.learning.train import TrainConfig, train_with_bar
 
     config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
+    start.cleaning_up()
     folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"

@@ -1,8 +1,6 @@
 """Pedestrian crowds on MuJoCo, each person's temper set by one number, the local coordination factor (LCF)."""
 
-import importlib
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False  # as typing's, which takes longer to import than all the rest of this file
 if TYPE_CHECKING:
     from macid.policy import load_policy
 
@@ -13,7 +11,9 @@ def __getattr__(name):
     """`load_policy`, once it is asked for: the commands begin in macid.start, before anything that takes long."""
     if name not in ("load_policy", "policy"):
         raise AttributeError(f"module 'macid' has no attribute '{name}'")
-    policy = importlib.import_module("macid.policy")
+    from importlib import import_module
+
+    policy = import_module("macid.policy")
     return policy if name == "policy" else policy.load_policy
 
 

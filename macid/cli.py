@@ -6,6 +6,7 @@ import sys
 from macid import start
 from macid.command import (
     MOST_SEED,
+    MOST_SEEDS,
     MOST_STEPS,
     MOST_TRAINING_SEED,
     MOST_WORLDS,
@@ -24,8 +25,6 @@ from macid.files import (
     start_mujoco,
     write_json,
 )
-
-_MOST_SEEDS = 1024  # trained at once
 
 
 def _level(text):
@@ -90,6 +89,7 @@ def _watch(args):
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
+    start.cleaning_up()
     recording = watch.record(args.pedestrian, args.level, config, args.seed)
     with new_folder(path.parent):
         if path.suffix == ".png":
@@ -195,7 +195,7 @@ def parser():
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
-    train.number("--seeds", int, 1, _MOST_SEEDS, default=1, help="how many, at once")
+    train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, at once")
     train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="crowds at once")
     train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     train.number("--agent-steps", float, 1.0, MOST_STEPS, default=20e6, help="budget, e.g. 20e6")

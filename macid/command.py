@@ -7,6 +7,7 @@ from macid.files import UsageError, one_line
 
 MOST_WORLDS = 65_536  # at once
 MOST_PEOPLE = 10_000
+MOST_SEEDS = 1024  # of a training
 MOST_SEED = 2**63 - 1
 MOST_TRAINING_SEED = 2**32 - 1  # beyond it, generators of random numbers take the remainder or refuse
 MOST_STEPS = 1e12

@@ -120,13 +120,18 @@ class Crowd:
         """`step`, and what it brought, with rewards by `weights` (a collision: any contact during the decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
-        first = before = self.engine.read(state)
-        for _ in range(self.config.substeps):
+        first = after = self.engine.read(state)
+
+        def substep(carried):
+            state, before, collisions, travelled = carried
             state = self.engine.step(state, command)
             after = self.engine.read(state)
             collisions = collisions + (after.contact & episode.walking)
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
-            before = after
+            return state, after, collisions, travelled
+
+        carried = physics.repeat(substep, (state, after, collisions, travelled), self.config.substeps)
+        state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
         away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)

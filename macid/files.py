@@ -314,6 +314,10 @@ def start_mujoco(draws=True):
         os.environ["MUJOCO_GL"] = "disable"
         with contextlib.suppress(ImportError):
             import mujoco  # noqa: F401, F811
+
+            for module in [name for name in sys.modules if name.startswith("mujoco.")]:  # those of the failed import
+                parent, _, child = module.rpartition(".")
+                setattr(sys.modules[parent], child, sys.modules[module])
         os.environ["MUJOCO_GL"] = chosen
         return
     mend = {

@@ -16,6 +16,17 @@ from macid import geometry
 from macid.state import CONTACT_GAP, RADIUS, CrowdState
 
 ENGINES = ("native", "mjx")
+_UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a loop's sums may differ in the last bit
+
+
+def repeat(step, carried, number):
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes no
+    longer to compile however many steps it has."""
+    if number > _UNROLLED:
+        return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
+    for _ in range(number):
+        carried = step(carried)
+    return carried
 
 
 def touching(position, boxes):

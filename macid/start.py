@@ -1,19 +1,12 @@
 """How the commands begin and end as processes: Ctrl-C from the first moment on, and another package in the place of `bson`.
 
-Only the standard library is imported here, so that this is at work before anything that takes long or fails. The console
-scripts begin here.
+The console scripts begin here. What is imported above all else is there as Python starts, or small, so that Ctrl-C is heard
+before anything that takes long or fails.
 """
 
-import contextlib
-import importlib
-import importlib.util
 import os
-import pathlib
 import signal
 import sys
-import threading
-import time
-from importlib import metadata
 
 INTERRUPTED = 130  # exit code after Ctrl-C
 _ANSWER = 1.0  # for which Python may be busy in compiled code, as while XLA compiles, before Ctrl-C ends the process [s]
@@ -42,19 +35,20 @@ class _Interrupts:
 
     def leave(self):
         """Ends the process, as a finish with other threads at work can crash."""
-        with contextlib.suppress(Exception):  # whatever state the stream is in
-            sys.stdout.flush()
+        _flush(sys.stdout)
         os.write(2, f"{chr(10) if self.raises else ''}{self.program}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
     def watch(self, pipe):
         """Waits, in a thread, for signals that the main thread does not get to see or does not obey."""
+        from time import sleep
+
         while signals := os.read(pipe, 64):
             self.came += signals.count(int(signal.SIGINT))
             if self.came > 1 or self.came == 1 and not self.waits():
-                time.sleep(_ANSWER)
+                sleep(_ANSWER)
                 if self.raised:
-                    time.sleep(_CLEANING)
+                    sleep(_CLEANING)
                 self.leave()
         os.close(pipe)
 
@@ -75,13 +69,19 @@ def run(program, main):
     global _interrupts
     _open_standard_handles()
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as of a job in the background
-    if _interrupts is not None or ignored or threading.current_thread() is not threading.main_thread():
+    if _interrupts is not None or ignored:
         return main()
+    interrupts = _Interrupts(program)
+    try:
+        handler = signal.signal(signal.SIGINT, interrupts.handle)
+    except ValueError:  # not the main thread, which alone is interrupted
+        return main()
+    _interrupts = interrupts
+    from threading import Thread
+
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    _interrupts = _Interrupts(program)
-    threading.Thread(target=_interrupts.watch, args=(reading,), daemon=True, name="Ctrl-C").start()
-    handler = signal.signal(signal.SIGINT, _interrupts.handle)
+    Thread(target=interrupts.watch, args=(reading,), daemon=True, name="Ctrl-C").start()
     wakeup = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     unraisable, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
@@ -93,11 +93,10 @@ def run(program, main):
         signal.signal(signal.SIGINT, handler)
         signal.set_wakeup_fd(wakeup)
         sys.unraisablehook = unraisable
-        came, _interrupts = _interrupts.raised, None
-    if came or code == INTERRUPTED:
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(Exception):
-                stream.flush()
+        _interrupts = None
+    if interrupts.raised or code == INTERRUPTED:
+        _flush(sys.stdout)
+        _flush(sys.stderr)
         os._exit(INTERRUPTED)
     os.close(writing)
     return code
@@ -110,6 +109,13 @@ def _open_standard_handles():
             os.fstat(handle)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this
+
+
+def _flush(stream):
+    try:
+        stream.flush()
+    except Exception:  # in whatever state it is, it is left
+        pass
 
 
 def _unraisable(what):
@@ -130,36 +136,43 @@ def cleaning_up():
         _interrupts.raises = True
 
 
-@contextlib.contextmanager
-def deferred(worth=lambda: True):
-    """Within it, Ctrl-C waits for a place where the work can be saved, as long as there is something `worth()` it.
+class deferred:
+    """A context in which Ctrl-C waits for a place where the work can be saved, as long as there is something `worth()` it.
 
-    Gives a function: whether Ctrl-C came, so that the work is to be saved and KeyboardInterrupt raised. A second Ctrl-C,
-    and one in another thread's work, are as ever.
+    It gives a function: whether Ctrl-C came, so that the work is to be saved and KeyboardInterrupt raised. A second Ctrl-C
+    is as ever; so is all in another thread than the main one.
     """
-    before, came = signal.getsignal(signal.SIGINT), []
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield lambda: False
-        return
 
-    def note(signum, frame):
-        if came or not worth():
-            before(signum, frame)
-        came.append(True)
+    def __init__(self, worth=lambda: True):
+        self._worth, self._came = worth, False
 
-    signal.signal(signal.SIGINT, note)
-    if _interrupts is not None:
-        _interrupts.worth = worth
-    try:
-        yield lambda: bool(came)
-    finally:
+    def __enter__(self):
+        self._before = signal.getsignal(signal.SIGINT)
+        try:
+            if callable(self._before):
+                signal.signal(signal.SIGINT, self._note)
+        except ValueError:  # not the main thread
+            self._before = None
+        if _interrupts is not None:
+            _interrupts.worth = self._worth
+        return lambda: self._came
+
+    def __exit__(self, *error):
         if _interrupts is not None:
             _interrupts.worth = None
-        signal.signal(signal.SIGINT, before)
+        if callable(self._before):
+            signal.signal(signal.SIGINT, self._before)
+
+    def _note(self, signum, frame):
+        if self._came or not self._worth():
+            self._before(signum, frame)
+        self._came = True
 
 
 def others():
     """Names of other installed packages that bring a `bson` of their own, as pymongo does."""
+    from importlib import metadata
+
     found = set()
     for package in metadata.distributions():
         name = package.metadata["Name"]
@@ -170,9 +183,12 @@ def others():
 
 def shadowed():
     """What is wrong with the package `bson`, in a sentence; None where it is ours. It is not imported."""
-    ours = pathlib.Path(__file__).resolve().parent.parent / "bson" / "__init__.py"
+    from importlib.util import find_spec
+    from pathlib import Path
+
+    ours = Path(__file__).resolve().parent.parent / "bson" / "__init__.py"
     try:
-        spec = importlib.util.find_spec("bson")
+        spec = find_spec("bson")
     except ValueError:  # something without a place has that name
         spec = None
     origin = spec and spec.origin
@@ -184,7 +200,7 @@ def shadowed():
         )
     if not origin or not os.path.isfile(origin):
         return f"Python finds no package bson, though '{ours.parent}' is there"
-    if b"ENVIRONMENTS" in pathlib.Path(origin).read_bytes():
+    if b"ENVIRONMENTS" in Path(origin).read_bytes():
         return None
     whose = " and ".join(others()) or "another package, as pymongo"
     if os.path.realpath(origin) == str(ours):
@@ -199,18 +215,18 @@ def bson():
 
 def bson_command():
     """The command `bson` with this process's words, where `bson` is ours; otherwise what is to be done. Its exit code."""
+    from importlib import import_module, util
+    from pathlib import Path
+
     problem = shadowed()
     if problem is None:
-        return importlib.import_module("bson.cli").main(sys.argv[1:])
-    if sys.argv[1:] != ["doctor"]:
-        print(f"bson: error: {problem}. {CURE}. More: bson doctor.", file=sys.stderr)
-        return 2
-    file = pathlib.Path(__file__).resolve().parent.parent / "bson" / "doctor.py"
-    spec = importlib.util.spec_from_file_location("_bson_doctor", file) if file.exists() else None
-    if spec is None:
+        return import_module("bson.cli").main(sys.argv[1:])
+    file = Path(__file__).resolve().parent.parent / "bson" / "doctor.py"
+    if sys.argv[1:] != ["doctor"] or not file.exists():
         print(f"bson: error: {problem}. {CURE}.", file=sys.stderr)
         return 2
-    doctor = importlib.util.module_from_spec(spec)
+    spec = util.spec_from_file_location("_bson_doctor", file)
+    doctor = util.module_from_spec(spec)
     spec.loader.exec_module(doctor)
     return doctor.command()
 
@@ -222,7 +238,9 @@ def macid():
 
 def macid_command():
     """The command `macid` with this process's words. Its exit code."""
-    return importlib.import_module("macid.cli").main(sys.argv[1:])
+    from macid.cli import main
+
+    return main(sys.argv[1:])
 
 
 def _whole(code):

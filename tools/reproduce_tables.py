@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words, name
 from macid.crowd import CrowdConfig
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
@@ -182,11 +183,9 @@ def plot(curves, path):
 
 def run(args):
     """Makes the tables; returns the exit code."""
+    configs = wanted(args.agent_steps, args.seeds)
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
-    if (args.seeds is not None and args.seeds < 1) or args.episodes < 1 or not 1 <= args.agent_steps < 1e12:
-        raise UsageError("--seeds, --episodes and --agent-steps must be at least 1.")
-    configs = wanted(args.agent_steps, args.seeds)
     if not args.no_train:
         train_missing(configs, find_policies(configs, args.policies, runs), runs)
     policies = {
@@ -263,23 +262,29 @@ def run(args):
 
 def main():
     """Entry point."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policies", default="assets/policies", help="folder with .npz and .json files")
-    parser.add_argument(
-        "--seeds", type=int, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policies", type=name, default="assets/policies", help="folder with .npz and .json files")
+    parser.number(
+        "--seeds", int, 1, MOST_SEEDS, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
     )
-    parser.add_argument(
+    parser.number(
         "--agent-steps",
-        type=float,
+        float,
+        1.0,
+        MOST_STEPS,
         default=BUDGET,
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
-    parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
+    parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
-    parser.add_argument("--out", default="tables")
-    args = parser.parse_args()
-    return run_command("reproduce_tables", lambda: run(args))
+    parser.add_argument("--out", type=name, default="tables")
+
+    def command():
+        check_words(sys.argv[1:])
+        return run(parser.parse_args())
+
+    return run_command("reproduce_tables", command)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from bson.metrics import measure
 from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
+from macid import start
 from macid.files import lock_folder, write_bytes
 from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
 from macid.policy import write_network
@@ -96,11 +97,17 @@ class _Keeper:
         """Time spent so far, in all sittings."""
         return self.spent + time.monotonic() - self._begin
 
-    def validate(self, layers, output, steps):
-        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores."""
+    def validate(self, layers, output, steps, interrupted=lambda: False):
+        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores. Raises
+        KeyboardInterrupt once it was `interrupted`."""
+
+        def progress(steps, episode):
+            if interrupted():
+                raise KeyboardInterrupt
+
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
         agent, config = functools.partial(learned.Learned, layers, output), self.config
-        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name))
+        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
@@ -134,9 +141,9 @@ class _Keeper:
 class _Progress(BaseCallback):
     """Logs, validates and writes checkpoints between an algorithm's updates."""
 
-    def __init__(self, keeper, show, seconds_between_checkpoints):
+    def __init__(self, keeper, show, seconds_between_checkpoints, interrupted):
         super().__init__()
-        self._keeper, self._show = keeper, show
+        self._keeper, self._show, self._interrupted = keeper, show, interrupted
         self._every, self._last_save, self._last_row = seconds_between_checkpoints, time.monotonic(), -np.inf
         self.recent = []
 
@@ -147,16 +154,18 @@ class _Progress(BaseCallback):
 
     def _on_rollout_start(self):
         now, steps, keeper = time.monotonic(), self.num_timesteps, self._keeper
-        if now - self._last_save > self._every:
+        if self._interrupted() or now - self._last_save > self._every:
             self._last_save = now
             _save_checkpoint(self.model, keeper)
+        if self._interrupted():
+            raise KeyboardInterrupt
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
             means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
             keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
             self._show(steps, means)
         if steps // keeper.config.validate_every > len(keeper.validations):
-            scores = keeper.validate(*export(self.model), steps)
+            scores = _validate(self.model, keeper, self._interrupted)
             keeper.write(steps)
             self._show(steps, scores, validation=True)
 
@@ -186,6 +195,15 @@ def _save_checkpoint(model, keeper):
         "keeper": keeper.state,
     }
     write_bytes(keeper.folder / "checkpoint.pkl", pickle.dumps(content))
+
+
+def _validate(model, keeper, interrupted):
+    """Scores of the model's policy now, see `_Keeper.validate`. Ctrl-C leaves a checkpoint, which goes on with this."""
+    try:
+        return keeper.validate(*export(model), model.num_timesteps, interrupted)
+    except KeyboardInterrupt:
+        _save_checkpoint(model, keeper)
+        raise
 
 
 def _env(config, steps=0):
@@ -223,8 +241,9 @@ def train(
 
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the
-    folder has another configuration's training, or, without `resume`, this one's, or if another process trains there.
+    the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints: it
+    begins anew, unless it was done. Raises UsageError if the folder has another configuration's training, or, without
+    `resume`, this one's, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     with lock_folder(path, alone=("config.json",)):
@@ -246,12 +265,15 @@ def _train(config, path, resume, show, seconds_between_checkpoints):
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
     left = config.steps - model.num_timesteps
-    progress = _Progress(keeper, show, seconds_between_checkpoints)
-    if left > 0:
-        model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not saved)
-        scores = keeper.validate(*export(model), model.num_timesteps)
-        show(model.num_timesteps, scores, validation=True)
-        _save_checkpoint(model, keeper)
+    begun = model.num_timesteps
+    with start.deferred(lambda: model.num_timesteps > begun) as interrupted:
+        progress = _Progress(keeper, show, seconds_between_checkpoints, interrupted)
+        if left > 0:
+            model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not saved)
+        if not keeper.validations or keeper.validations[-1]["steps"] != model.num_timesteps:
+            scores = _validate(model, keeper, interrupted)
+            show(model.num_timesteps, scores, validation=True)
+            _save_checkpoint(model, keeper)
     keeper.write(model.num_timesteps)
     return folder
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from macid import geometry, physics, scene
+from macid import geometry, physics, scene, start
 from macid.files import lock_folder, versions, write_bytes
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
@@ -236,13 +236,18 @@ class Trainer:
             key_action, key_goal = jax.random.split(key)
             x, critic, action, log_probability = act(crowd, goals, key_action)
             command = to_command(to_velocity(action), crowd.yaw)
-            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
-            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
-            for _ in range(substeps):
+
+            def substep(carried):
+                state, _, steps_in_contact, pairs = carried
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
                 steps_in_contact = steps_in_contact + after.contact
-                pairs = pairs | physics.touching_people(after.position)
+                return state, after, steps_in_contact, pairs | physics.touching_people(after.position)
+
+            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
+            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
+            carried = physics.repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
+            state, after, steps_in_contact, pairs = carried
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
             arrived = distance <= GOAL_RADIUS
@@ -327,8 +332,9 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
     the first seed's. With MJX and several devices, they share the work.
 
-    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one. Raises ValueError if it is another
-    configuration's or another process trains there, FloatingPointError if the training diverges.
+    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
+    something to keep. Raises ValueError if it is another configuration's or another process trains there,
+    FloatingPointError if the training diverges.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
     paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
@@ -360,34 +366,40 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
             write_curve(folder / "curve.csv", curve)
 
     begin = last_save = last_show = time.monotonic()
-    before, done = spent, len(curves[0])
-    while done < trainer.iterations:
-        try:
-            following, logs = trainer.iterate_seeds(states)
-            logs = jax.device_get(logs)
-        except KeyboardInterrupt:
-            save()
-            raise
-        states, done = following, done + 1
-        now = time.monotonic()
-        spent = before + now - begin
-        steps = done * trainer.samples
-        for index, curve in enumerate(curves):
-            values = {name: float(value[index]) for name, value in logs.items()}
-            curve.append({"agent_steps": steps, "seconds": round(spent, 2), **values})
-            if not np.isfinite(values["reward"]):
-                raise FloatingPointError(
-                    f"Training of seed {configs[index].seed} diverged at iteration {done}: the reward is {values['reward']}."
+    before, begun = spent, len(curves[0])
+    done = begun
+    with start.deferred(lambda: done > begun) as interrupted:
+        while done < trainer.iterations:
+            try:
+                following, logs = trainer.iterate_seeds(states)
+                logs = jax.device_get(logs)
+            except KeyboardInterrupt:
+                if done > begun:
+                    save()
+                raise
+            states, done = following, done + 1
+            now = time.monotonic()
+            spent = before + now - begin
+            steps = done * trainer.samples
+            for index, curve in enumerate(curves):
+                values = {name: float(value[index]) for name, value in logs.items()}
+                curve.append({"agent_steps": steps, "seconds": round(spent, 2), **values})
+                if not np.isfinite(values["reward"]):
+                    raise FloatingPointError(
+                        f"Training of seed {configs[index].seed} diverged at iteration {done}: the reward is {values['reward']}."
+                    )
+            if now - last_show > 5.0 or done == trainer.iterations:
+                last_show = now
+                figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
+                show(
+                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
                 )
-        if now - last_show > 5.0 or done == trainer.iterations:
-            last_show = now
-            figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
-            show(
-                f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
-            )
-        if now - last_save > 60 * minutes_between_checkpoints:
-            last_save = now
-            save()
+            if now - last_save > 60 * minutes_between_checkpoints:
+                last_save = now
+                save()
+            if interrupted():
+                save()
+                raise KeyboardInterrupt
     save()
     policies = []
     for index, (each, folder, curve) in enumerate(zip(configs, folders, curves, strict=True)):
