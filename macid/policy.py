@@ -10,7 +10,7 @@ import io
 import math
 import pathlib
 import sys
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -49,9 +49,18 @@ def features(observed):
 
 
 def inputs(seen, lcf):
-    """Network inputs (..., FEATURES + 1): features `seen` (..., FEATURES), and the LCF (...)."""
+    """Network inputs (..., N + 1): what is `seen` (..., N), and the LCF (...), as a share of the greatest."""
     xp = seen.__array_namespace__()
     return xp.concatenate([seen, (lcf / MAX_LCF)[..., None]], axis=-1)
+
+
+def as_observed(observed):
+    """The 41 numbers as they are, as the paper feeds them."""
+    return observed
+
+
+# What networks see of an observation (..., 41): {a recipe's "inputs": (the function, how many numbers it gives)}.
+INPUTS = {"features": (features, FEATURES), "observation": (as_observed, observation.SIZE)}
 
 
 def mlp(layers, x):
@@ -100,7 +109,12 @@ class Policy:
     def act(self, observed, lcf):
         """`action` for float32 observations (..., 41) that `observe` made and LCFs (...) known to be right, unlooked at."""
         lcf = observed.__array_namespace__().broadcast_to(lcf, observed.shape[:-1])
-        return mlp(self.layers, inputs(features(observed), lcf))
+        return mlp(self.layers, inputs(self.see(observed), lcf))
+
+    @property
+    def see(self):
+        """What the network sees of an observation: a function of INPUTS."""
+        return INPUTS[self.recipe.get("inputs", "features")][0]
 
     @property
     def period(self):
@@ -119,7 +133,7 @@ class Policy:
         """
         import torch
 
-        layers, goal_scale = self.layers, _GOAL_SCALE
+        layers, goal_scale, scaled = self.layers, _GOAL_SCALE, self.see is features
 
         def seen(tensor):
             """A tensor's values as NumPy; None where it has none to look at."""
@@ -158,22 +172,28 @@ class Policy:
                     _check_observed(values)
                 if (values := seen(lcf)) is not None:
                     _check_lcf(values)
-                rest, rays = observed[..., :5], observed[..., _RAYS].unflatten(-1, (observation.RAYS, 3))
-                rest = rest.nan_to_num().clamp(-MOST_READING, MOST_READING)
-                met = rays[..., :1] < observation.RAY_RANGE
-                nearness = 1.0 - torch.where(met, rays[..., :1].clamp(min=0.0), observation.RAY_RANGE) / observation.RAY_RANGE
-                relative = torch.where(met, rays[..., 1:].nan_to_num().clamp(-MOST_READING, MOST_READING), 0.0)
-                goal, rest = rest[..., :2], rest[..., 2:]
-                distance = goal.norm(dim=-1, keepdim=True)
-                rest = rest / rest.new_tensor([MAX_SPEED, MAX_YAW_RATE, 1.0])
-                rays = torch.cat([nearness, relative / MAX_SPEED], dim=-1)
-                x = [goal / (distance + 1e-6), distance.log1p() / goal_scale, rest, rays.flatten(-2)]
+                rays = observed[..., _RAYS].unflatten(-1, (observation.RAYS, 3))
+                distance, relative = rays[..., :1], rays[..., 1:].nan_to_num().clamp(-MOST_READING, MOST_READING)
+                met = distance < observation.RAY_RANGE
+                distance = torch.where(met, distance.clamp(min=0.0), observation.RAY_RANGE)
+                rays = torch.cat([distance, torch.where(met, relative, 0.0)], dim=-1).flatten(-2)
+                rest = observed[..., :5].nan_to_num().clamp(-MOST_READING, MOST_READING)
+                observed = torch.cat([rest, rays], dim=-1)
+                x = self.features(observed) if scaled else [observed]
                 lcf = lcf.nan_to_num().clamp(-MAX_LCF, MAX_LCF) / MAX_LCF
                 x = torch.cat([*x, lcf.expand(observed.shape[:-1])[..., None]], dim=-1)
                 for linear in self.linear[:-1]:
                     x = torch.tanh(linear(x))
                 x = self.linear[-1](x).clamp(-1.0, 1.0)
                 return torch.stack([(x[..., 0] + 1.0) * (MAX_SPEED / 2), x[..., 1] * MAX_YAW_RATE], dim=-1)
+
+            def features(self, observed):
+                goal, rest, rays = observed[..., :2], observed[..., 2:5], observed[..., 5:]
+                distance = goal.norm(dim=-1, keepdim=True)
+                rest = rest / rest.new_tensor([MAX_SPEED, MAX_YAW_RATE, 1.0])
+                rays = rays.unflatten(-1, (observation.RAYS, 3))
+                rays = torch.cat([1.0 - rays[..., :1] / observation.RAY_RANGE, rays[..., 1:] / MAX_SPEED], dim=-1)
+                return [goal / (distance + 1e-6), distance.log1p() / goal_scale, rest, rays.flatten(-2)]
 
         return TorchPolicy()
 
@@ -304,10 +324,12 @@ def load_policy(name):
 def _made(path, weights, recipe):
     """One Policy for the same content (bytes) of its two files, so that what was compiled for it serves again."""
     layers, document = _parsed(path, weights, recipe)
-    if (given := layers[0][0].shape[0]) != FEATURES + 1:
-        raise UsageError(f"'{path}' is no pedestrians' policy: it takes {given} numbers, not {FEATURES + 1}.")
-    if (given := layers[-1][0].shape[1]) != ACTIONS:
-        raise UsageError(f"'{path}' is no pedestrians' policy: it gives {given} numbers, not {ACTIONS}.")
+    seen = document.get("inputs", "features")
+    # A robot's policy is told by its size before its recipe is looked at.
+    wanted = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
+    for given, wanted, does in ((layers[0][0].shape[0], wanted, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
+        if given != wanted:
+            raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {given} numbers, not {wanted}.")
     convert(document, _Recipe, f"the recipe '{path.with_suffix('.json')}'")
     if "period" in document:
         try:
@@ -325,6 +347,7 @@ class _Recipe(msgspec.Struct):
     name: str | msgspec.UnsetType = msgspec.UNSET
     method: str | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
+    inputs: Literal[tuple(INPUTS)] | msgspec.UnsetType = msgspec.UNSET
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
