@@ -155,7 +155,10 @@ def check_values(document, tell):
 
 
 def convert(document, schema, name):
-    """`document` as the msgspec type `schema`. name: how messages call it ("map 'hall.toml'"). Raises UsageError."""
+    """`document` as the msgspec type `schema`. name: how messages call it ("map 'hall.toml'"). Raises UsageError.
+
+    What is allowed follows from the types; where a `description` of a msgspec.Meta says it better, messages have that.
+    """
 
     def tell(key, problem):
         where = f", key {shown(key)}" if key else ""
@@ -205,10 +208,12 @@ def _fits(value, kind):
 
 
 def _place(document, schema, path):
-    """Where msgspec's `path` ("$.mounts[...].position") leads in `document`: the key, the value, the types allowed."""
-    key, value, kinds = "", document, [schema]
+    """Where msgspec's `path` ("$.mounts[...].position") leads in `document`: the key, the value, the types allowed, and the
+    last description (msgspec.Meta) on the way, or ""."""
+    key, value, kinds, around = "", document, [schema], ""
     for name, index, _ in _STEP.findall(path):
         allowed = [kind for kind, _ in _alternatives(kinds)]
+        around = _description(kinds) or around
         if name:
             key, value = f"{key}.{name}" if key else name, value[name]
             kinds = [
@@ -227,7 +232,11 @@ def _place(document, schema, path):
             if not wrong:
                 break
             key, value = f"{key}.{wrong[0][0]}" if key else wrong[0][0], wrong[0][1]
-    return key, value, kinds
+    return key, value, kinds, around
+
+
+def _description(kinds):
+    return next((meta.description for _, meta in _alternatives(kinds) if meta is not None and meta.description), "")
 
 
 def _range(meta):
@@ -246,7 +255,7 @@ def _range(meta):
 def _explained(document, schema, text):
     """msgspec's message `text` about `document`: (key, problem), with the value and what is allowed."""
     problem, _, path = text.partition(" - at `$")
-    key, value, kinds = _place(document, schema, path)
+    key, value, kinds, around = _place(document, schema, path)
     allowed = _alternatives(kinds)
     fields = [name for kind, _ in allowed for name in getattr(kind, "__struct_fields__", ())]
     if found := re.fullmatch(r"Object missing required field `(.*)`", problem):
@@ -256,12 +265,18 @@ def _explained(document, schema, text):
     choices = [choice for kind, _ in allowed if typing.get_origin(kind) is typing.Literal for choice in kind.__args__]
     if choices:
         return key, f"it must be one of {', '.join(map(str, choices))}, not {shown(value)}"
+    if said := _description(kinds):
+        return key, f"it must be {said}, not {shown(value)}"
+    around = f" ({around})" if around else ""
     ranges = [words for _, meta in allowed if meta is not None and (words := _range(meta))]
     if found := re.match(r"Expected `([^`]*)`(, got `[^`]*`)?(.*)", problem):
         wanted = " or ".join(_WORDS.get(word, word) for word in found[1].split(" | ") if word != "null")
+        lengths = [len(typing.get_args(kind)) for kind, _ in allowed if typing.get_origin(kind) is tuple]
+        if lengths and typing.get_args(allowed[0][0])[-1] is not ...:
+            ranges = [f"of {lengths[0]}"]
         rest = f" {ranges[0]}" if ranges and len(allowed) == 1 else "" if found[2] else found[3]
-        return key, f"it must be {wanted}{rest}, not {shown(value)}"
-    return key, f"{problem.replace('`', chr(39))[:300]}, not {shown(value)}"
+        return key, f"it must be {wanted}{rest}, not {shown(value)}{around}"
+    return key, f"{problem.replace('`', chr(39))[:300]}, not {shown(value)}{around}"
 
 
 def read_document(path, schema, what, most=MOST_BYTES):
