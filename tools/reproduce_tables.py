@@ -33,8 +33,9 @@ PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is n
 BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
+KNOB_PEOPLE = 100  # people in all episodes of a section together, on every map, where a policy's knob is measured
 MIXED = 2  # times as many episodes of mixed crowds, whose people are of all sections
-RULES = ("social-force", "social-force-bodies", "orca")
+RULES = ("social-force", "social-force-progress", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
 PAPER_TABLE_2 = {
@@ -110,15 +111,16 @@ def evaluated(rows, file, level, lcf, episodes):
     return kept(rows, file, level, [plain(config), episodes], play)
 
 
-def knob(rows, file, level, episodes):
+def knob(rows, file, level):
     """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
-    config, mixed = CrowdConfig(period=usual_period(str(file))), MIXED * episodes
+    config = CrowdConfig(period=usual_period(str(file)))
+    episodes = max(1, round(KNOB_PEOPLE / load_level(level).pedestrians))
 
     def play():
         print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
-        return measure_knob(str(file), level, episodes, mixed, config=config)
+        return measure_knob(str(file), level, episodes, MIXED * episodes, config=config)
 
-    return kept(rows, file, level, ["knob", plain(config), episodes, mixed], play)
+    return kept(rows, file, level, ["knob", plain(config), episodes, MIXED], play)
 
 
 def kept(rows, file, level, settings, play):
