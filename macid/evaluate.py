@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from macid import metrics
-from macid.crowd import Crowd, CrowdConfig
-from macid.layout import LEVELS, VALIDATION_LEVELS, load_level
+from macid.crowd import Crowd, CrowdConfig, Episode
+from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
 from macid.state import PHYSICS_STEP
@@ -55,23 +55,7 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
 
     config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch.
     """
-    layout = load_level(level)
-    config = dataclasses.replace(config, number=layout.pedestrians)
-    crowd = Crowd(layout, config, nworld=episodes, engine=engine)
-    start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
-    end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
-    arrived, collisions = ~np.asarray(end.walking), np.asarray(end.collisions)
-    distance, travelled = np.asarray(end.distance), np.asarray(end.travelled)
-    each = {
-        "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
-        "CP": [metrics.collision_penalty(c) for c in collisions],
-        "PE": [metrics.path_efficiency(*row) for row in zip(arrived, distance, travelled, strict=True)],
-        "arrived": [100.0 * float(a.mean()) for a in arrived],
-        "dv": _per_second(end.sped, end.time),
-        "dw": _per_second(end.turned, end.time),
-        "stalled": 100.0 * _per_second(end.stalled, end.time),
-    }
-    curve = [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)]
+    layout, config, (end,) = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
     return {
         "pedestrian": pedestrian,
         "level": level,
@@ -80,10 +64,88 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "seed": seed,
         "engine": engine,
         "config": dataclasses.asdict(config),
-        "SR": curve,
+        **_measured(end),
+    }
+
+
+def _play(pedestrian, level, groups, seed, config, engine):
+    """The level's layout, the config with its number of people, and the ended Episode of each of `groups`.
+
+    groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as many
+    episodes have the same starts and goals. All are worlds of one batch.
+    """
+    layout = load_level(level)
+    config = dataclasses.replace(config, number=layout.pedestrians)
+    crowd = Crowd(layout, config, nworld=sum(episodes for _, episodes in groups), engine=engine)
+    drawn = [crowd.draw(np.random.default_rng((seed, *level_seed(level))), n, lcf) for lcf, n in groups]
+    start = crowd.begin(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+    end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
+    end = end._replace(physics=None)._asdict()
+    last = np.cumsum([episodes for _, episodes in groups])
+    parts = {name: np.split(np.asarray(leaf), last[:-1]) for name, leaf in end.items() if leaf is not None}
+    ends = [Episode(physics=None, **{name: part[i] for name, part in parts.items()}) for i in range(len(groups))]
+    return layout, config, ends
+
+
+def _measured(end):
+    """The columns of `evaluate_level` of an ended Episode."""
+    arrived, collisions = ~end.walking, end.collisions
+    each = {
+        "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
+        "CP": [metrics.collision_penalty(c) for c in collisions],
+        "PE": [metrics.path_efficiency(*row) for row in zip(arrived, end.distance, end.travelled, strict=True)],
+        "arrived": [100.0 * float(a.mean()) for a in arrived],
+        "dv": _per_second(end.sped, end.time),
+        "dw": _per_second(end.turned, end.time),
+        "stalled": 100.0 * _per_second(end.stalled, end.time),
+    }
+    return {
+        "SR": [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)],
         **{name: _over_episodes(np.mean, values) for name, values in each.items()},
         **{f"{name}_std": _over_episodes(np.std, values) for name, values in each.items()},
     }
+
+
+def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdConfig(), engine="native"):
+    """How a learned model's LCF works on one level: a dict of
+
+    - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in which
+      everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
+    - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: the mean collision steps of
+      those whose own LCF is of each section; `own_people`, how many these are; `own_CP_rank`.
+
+    A rank correlation is None where it has no meaning (all equal). config's `number` and `lcf` are overridden. Starts
+    and goals are the same in every section. Raises ValueError for a model without LCFs.
+    """
+    sections = lcf_bins(pedestrian)
+    edges = [sections[0][0], *(high for _, high in sections)]
+    groups = [(section, episodes) for section in sections] + [((edges[0], edges[-1]), mixed)]
+    layout, config, ends = _play(pedestrian, level, groups, seed, config, engine)
+    figures = [_measured(end) for end in ends[:-1]]
+    own, people = metrics.mean_by_section(ends[-1].lcf, ends[-1].collisions, edges)
+    found = {name: [row[name] for row in figures] for name in ("SR10", "CP")}
+    found["own_CP"] = [None if np.isnan(mean) else float(mean) for mean in own]
+    ranks = {f"{name}_rank": _rank_correlation(values) for name, values in found.items()}
+    return {
+        "pedestrian": pedestrian,
+        "level": level,
+        "people": layout.pedestrians,
+        "episodes": episodes,
+        "mixed": mixed,
+        "seed": seed,
+        "engine": engine,
+        "period": config.period,
+        "sections": sections,
+        **found,
+        "own_people": people.tolist(),
+        **ranks,
+    }
+
+
+def _rank_correlation(values):
+    """`metrics.rank_correlation`, None instead of NaN; a value of None has none."""
+    correlation = metrics.rank_correlation([np.nan if value is None else value for value in values])
+    return correlation if np.isfinite(correlation) else None
 
 
 def level_name(level):
@@ -93,7 +155,9 @@ def level_name(level):
 
 def level_seed(level):
     """What follows the seed in that of a level's episodes, so that no two levels share their draws: whole numbers."""
-    return (level,) if level in LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
+    if level in LEVELS:
+        return (level,)
+    return (OTHER_LEVELS.index(level), 0x7A2) if level in OTHER_LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
 
 
 def _range(pair):

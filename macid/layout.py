@@ -28,6 +28,7 @@ _LEAST_HALF = 1e-4  # of a box that MuJoCo can touch [m]
 
 LEVELS = (1, 2, 3, 4)
 VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: settings are chosen on these
+OTHER_LEVELS = ("big-boxes", "small-boxes", "foyer", "crossroads", "furnished", "crowded")  # maps of other kinds
 
 
 class NoFreeSpace(ValueError):
@@ -112,17 +113,18 @@ def person_count(density, size):
     return round(density * MAX_PERSON_DENSITY * size**2)
 
 
-def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random"):
-    """`number` boxes of 1 to 4 m at any yaw, at least `passage` [m] from each other and from the walls.
+def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random", half=(0.5, 2.0)):
+    """`number` boxes at any yaw, at least `passage` [m] from each other and from the walls. half: the range of half a
+    box's sides [m].
 
     Raises NoFreeSpace when they don't fit.
     """
     boxes = outer_walls(size)
     for _ in range(number):
         for _ in range(_TRIES):
-            half = rng.uniform(0.5, 2.0, 2)
+            halves = rng.uniform(*half, 2)
             centre = rng.uniform(-size / 2, size / 2, 2)
-            box = np.array([*centre, *half, rng.uniform(-np.pi / 2, np.pi / 2)])
+            box = np.array([*centre, *halves, rng.uniform(-np.pi / 2, np.pi / 2)])
             if geometry.box_box_gap(box, boxes).min() >= passage:
                 boxes = np.concatenate([boxes, box[None]])
                 break
@@ -244,10 +246,14 @@ def _numbers(rows):
 
 
 def load_level(level):
-    """One of the paper's four levels, 1 to 4, frozen in assets/layouts: 25, 50, 100 or 200 people on 50 x 50 m; or one of
-    as many people on a map for validation, "v1" to "v4". Raises ValueError, naming the valid ones."""
-    if level not in LEVELS + VALIDATION_LEVELS:
-        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, LEVELS + VALIDATION_LEVELS))}.")
+    """A level, frozen in assets/layouts. Raises ValueError, naming the valid ones.
+
+    1 to 4: the paper's, 25, 50, 100 or 200 people on 50 x 50 m; "v1" to "v4": as many on maps for validation; a name of
+    OTHER_LEVELS: a map of another kind.
+    """
+    levels = LEVELS + VALIDATION_LEVELS + OTHER_LEVELS
+    if level not in levels:
+        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, levels))}.")
     return load_layout(assets.path("layouts", f"lv{level}.toml" if level in LEVELS else f"{level}.toml"))
 
 
