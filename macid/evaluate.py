@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from macid import metrics
+from macid import metrics, physics
 from macid.crowd import Crowd, CrowdConfig, Episode
 from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
@@ -53,9 +53,10 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
     and `dw` [rad/s a second], the mean change of speed and of yaw rate between decisions, and `stalled` [%], the share of
     the time below 0.1 m/s; and their standard deviation over episodes.
 
-    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch.
+    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch. `faults`: the episodes
+    in which physics failed, and how; these are scored nowhere. Raises ValueError where no other is left.
     """
-    layout, config, (end,) = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
+    layout, config, (end,), faults = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
     return {
         "pedestrian": pedestrian,
         "level": level,
@@ -65,14 +66,16 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "engine": engine,
         "config": dataclasses.asdict(config),
         **_measured(end),
+        "faults": faults,
     }
 
 
 def _play(pedestrian, level, groups, seed, config, engine):
-    """The level's layout, the config with its number of people, and the ended Episode of each of `groups`.
+    """The level's layout, the config with its number of people, the ended Episode of each of `groups`, of the worlds in
+    which physics did not fail, and its faults in the others: [{"episode", "what"}, ...], counted through all groups.
 
     groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as many
-    episodes have the same starts and goals. All are worlds of one batch.
+    episodes have the same starts and goals. All are worlds of one batch. Raises ValueError where a group has no sound world.
     """
     layout = load_level(level)
     config = dataclasses.replace(config, number=layout.pedestrians)
@@ -80,11 +83,29 @@ def _play(pedestrian, level, groups, seed, config, engine):
     drawn = [crowd.draw(np.random.default_rng((seed, *level_seed(level))), n, lcf) for lcf, n in groups]
     start = crowd.begin(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
     end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
+    whats = _faults(crowd, end)
     end = end._replace(physics=None)._asdict()
     last = np.cumsum([episodes for _, episodes in groups])
-    parts = {name: np.split(np.asarray(leaf), last[:-1]) for name, leaf in end.items() if leaf is not None}
-    ends = [Episode(physics=None, **{name: part[i] for name, part in parts.items()}) for i in range(len(groups))]
-    return layout, config, ends
+    ends = []
+    for worlds in np.split(np.arange(crowd.nworld), last[:-1]):
+        sound = [world for world in worlds if not whats[world]]
+        if not sound:
+            raise ValueError(
+                f"There is nothing to score: physics failed in all episodes of '{pedestrian}' on {level_name(level)}. "
+                f"Episode {worlds[0]}: {whats[worlds[0]]}."
+            )
+        parts = {name: np.asarray(leaf)[sound] for name, leaf in end.items() if leaf is not None}
+        ends.append(Episode(physics=None, **parts))
+    return layout, config, ends, [{"episode": world, "what": what} for world, what in enumerate(whats) if what]
+
+
+def _faults(crowd, end):
+    """What of the physics failed in each world of a crowd whose Episode ended: "" where nothing did."""
+    mean_speed = np.asarray(end.travelled).max(axis=-1) / crowd.config.duration
+    return [
+        what or ("" if speed <= physics.DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
+        for what, speed in zip(crowd.engine.faults(end.physics), mean_speed, strict=True)
+    ]
 
 
 def _measured(end):
@@ -114,13 +135,13 @@ def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdCo
     - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: the mean collision steps of
       those whose own LCF is of each section; `own_people`, how many these are; `own_CP_rank`.
 
-    A rank correlation is None where it has no meaning (all equal). config's `number` and `lcf` are overridden. Starts
+    `faults` are as `evaluate_level`'s. A rank correlation is None where it has no meaning (all equal). config's `number` and `lcf` are overridden. Starts
     and goals are the same in every section. Raises ValueError for a model without LCFs.
     """
     sections = lcf_bins(pedestrian)
     edges = [sections[0][0], *(high for _, high in sections)]
     groups = [(section, episodes) for section in sections] + [((edges[0], edges[-1]), mixed)]
-    layout, config, ends = _play(pedestrian, level, groups, seed, config, engine)
+    layout, config, ends, faults = _play(pedestrian, level, groups, seed, config, engine)
     figures = [_measured(end) for end in ends[:-1]]
     own, people = metrics.mean_by_section(ends[-1].lcf, ends[-1].collisions, edges)
     found = {name: [row[name] for row in figures] for name in ("SR10", "CP")}
@@ -139,6 +160,7 @@ def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdCo
         **found,
         "own_people": people.tolist(),
         **ranks,
+        "faults": faults,
     }
 
 
@@ -176,7 +198,7 @@ def _over_episodes(statistic, values):
 
 
 def format_table(rows):
-    """Rows of `evaluate_level` as Table II's columns, plain text."""
+    """Rows of `evaluate_level` as Table II's columns, plain text; below them the episodes that are not scored."""
 
     def cell(row, name):
         if row[name] is None:
@@ -194,4 +216,8 @@ def format_table(rows):
             f"{cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
             f"{cell(row, 'dv'):>14}{cell(row, 'dw'):>15}{cell(row, 'stalled'):>14}"
         )
+    for row in rows:
+        for fault in row.get("faults", ()):
+            where = f"{row['pedestrian']} on {level_name(row['level'])}"
+            lines.append(f"not scored, as physics failed: episode {fault['episode']} of {where}: {fault['what']}")
     return "\n".join(lines)

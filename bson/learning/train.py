@@ -216,7 +216,7 @@ def is_done(config, folder):
         if isinstance(done, bool) or not isinstance(done, int | float):
             raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
     except UsageError as error:
-        raise UsageError(f"{error} Delete '{path}': --resume writes it anew.") from None
+        raise UsageError(f"{str(error).rstrip('.')}. Delete '{path}': --resume writes it anew.") from None
     return done >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
 
 

@@ -29,10 +29,10 @@ def config(algo):
 
 @pytest.fixture(scope="module", params=["ppo", "sac"])
 def begun(request, tmp_path_factory):
-    """A training's configuration, its arrays and what was noted after 48 of 64 steps."""
+    """A training's configuration, its arrays and what was noted after 32 of 64 steps."""
     whole, folder = config(request.param), tmp_path_factory.mktemp("begun")
     keeper = train_module._Keeper(whole, folder)
-    model = whole.hyperparameters.build(train_module._env(whole), 0).learn(48)
+    model = whole.hyperparameters.build(train_module._env(whole), 0).learn(32)
     layers, output = export(model)
     keeper.best = {"layers": layers, "output": output, "steps": 32, "validation": {"SNS": 3.0}}
     train_module._save_checkpoint(model, keeper)
