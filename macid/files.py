@@ -247,13 +247,15 @@ def new_folder(path):
 
 
 @contextlib.contextmanager
-def lock_folder(path, alone=()):
+def lock_folder(path, files=(), alone=()):
     """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
 
-    What killed runs left there half-written is removed. Where the work fails and leaves nothing, or only new files of the
-    names `alone`, such as a configuration, these and the folder go again. A process that was killed locks nothing. Raises
-    UsageError where another run has the folder or it can't be written.
+    files: names of what will be written there, which are checked. What killed runs left half-written is removed. Where the
+    work fails and leaves nothing, or only new files of the names `alone`, such as a configuration, these and the folder go
+    again. A process that was killed locks nothing. Raises UsageError where another run has the folder or it can't be written.
     """
+    for name in files:
+        check_file(pathlib.Path(path) / name)
     with new_folder(path) as folder:
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -19,9 +19,9 @@ import numpy as np
 
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words, name
 from macid.crowd import CrowdConfig
-from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf, usual_period
+from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
-from macid.layout import LEVELS, load_level
+from macid.layout import LEVELS, OTHER_LEVELS, load_level
 from macid.learning.curves import plain
 from macid.learning.methods import METHODS
 from macid.learning.train import PRESETS, TrainConfig, train
@@ -34,7 +34,9 @@ PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is n
 BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
-RULES = ("social-force", "social-force-bodies", "orca")
+KNOB_PEOPLE = 100  # people in all episodes of a section together, on every map, where a policy's knob is measured
+MIXED = 2  # times as many episodes of mixed crowds, whose people are of all sections
+RULES = ("social-force", "social-force-progress", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
 PAPER_TABLE_2 = {
@@ -101,23 +103,38 @@ def train_missing(configs, found, folder):
 
 def evaluated(rows, file, level, lcf, episodes):
     """A row of `evaluate_level`, from the folder `rows` if it is there; `file`: a policy's or a rule's name."""
+    config = CrowdConfig(period=usual_period(str(file)), lcf=lcf)
+
+    def play():
+        print(f"{file} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
+        return evaluate_level(str(file), level, episodes, config=config)
+
+    return kept(rows, file, level, [plain(config), episodes], play)
+
+
+def knob(rows, file, level):
+    """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
+    config = CrowdConfig(period=usual_period(str(file)))
+    episodes = max(1, round(KNOB_PEOPLE / load_level(level).pedestrians))
+
+    def play():
+        print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
+        return measure_knob(str(file), level, episodes, MIXED * episodes, config=config)
+
+    return kept(rows, file, level, ["knob", plain(config), episodes, MIXED], play)
+
+
+def kept(rows, file, level, settings, play):
+    """What `play` gives, from the folder `rows` if it was played before by the same model, map, `settings` and MuJoCo."""
     pedestrian = str(file)
-    config = CrowdConfig(period=usual_period(pedestrian), lcf=lcf)
     content = pathlib.Path(pedestrian).read_bytes() if pedestrian.endswith(".npz") else pedestrian.encode()
     layout = load_level(level)
-    follows_from = [
-        layout.obstacles.tolist(),
-        layout.pedestrians,
-        plain(config),
-        episodes,
-        versions("mujoco")["mujoco"],
-    ]
+    follows_from = [layout.obstacles.tolist(), layout.pedestrians, *settings, versions("mujoco")["mujoco"]]
     key = hashlib.sha256(content + json.dumps(follows_from).encode()).hexdigest()[:16]
     path = rows / f"{pathlib.Path(pedestrian).stem}-lv{level}-{key}.json"
     if path.exists():
         return json.loads(path.read_text())
-    print(f"{pedestrian} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
-    row = evaluate_level(pedestrian, level, episodes, config=config)
+    row = play()
     write_json(path, row)
     return row
 

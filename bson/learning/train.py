@@ -3,21 +3,18 @@
 import contextlib
 import dataclasses
 import functools
-import io
-import json
 import pathlib
-import pickle
 import sys
 import time
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
 from bson.evaluate import run_episodes, sound, versions
+from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
@@ -26,9 +23,20 @@ from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import start
-from macid.files import lock_folder, write_bytes
-from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
-from macid.policy import write_network
+from macid.documents import read_document
+from macid.files import UsageError, lock_folder
+from macid.learning.curves import (
+    CHECKPOINT,
+    FILES,
+    damaged,
+    plain,
+    read_checkpoint,
+    thin,
+    training_folder,
+    write_checkpoint,
+    write_curve,
+)
+from macid.policy import MOST_RECIPE_BYTES, write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
@@ -184,17 +192,7 @@ def one_thread():
 
 def _save_checkpoint(model, keeper):
     """Writes all of a training but the worlds: networks, optimisers, replay buffer, counters, random numbers."""
-    buffer = io.BytesIO()
-    model.save(buffer)
-    content = {
-        "steps": model.num_timesteps,
-        "model": buffer.getvalue(),
-        "replay": getattr(model, "replay_buffer", None),
-        "torch": torch.get_rng_state(),
-        "numpy": np.random.get_state(),
-        "keeper": keeper.state,
-    }
-    write_bytes(keeper.folder / "checkpoint.pkl", pickle.dumps(content))
+    write_checkpoint(keeper.folder, *checkpoint.collect(model, keeper.state))
 
 
 def _validate(model, keeper, interrupted):
@@ -211,25 +209,34 @@ def _env(config, steps=0):
     return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
 
 
-def _restore(saved, keeper):
-    """The model of a checkpoint's content; its keeper's state is restored."""
-    config = keeper.config
-    keeper.restore(saved["keeper"])
-    kind = PPO if isinstance(config.hyperparameters, PpoConfig) else SAC
-    model = kind.load(io.BytesIO(saved["model"]), env=_env(config, saved["steps"]), device="cpu")
-    if saved["replay"] is not None:
-        model.replay_buffer = saved["replay"]
-    torch.set_rng_state(saved["torch"])
-    np.random.set_state(saved["numpy"])
+def _restored(keeper):
+    """The model of the checkpoint in the keeper's folder; its keeper's state is restored. None where there is none."""
+    config, saved = keeper.config, read_checkpoint(keeper.folder, checkpoint.Noted)
+    if not saved:
+        return None
+    found, noted = saved
+    model = config.hyperparameters.build(_env(config, noted["steps"]), config.seed)
+    try:
+        keeper.restore(checkpoint.restore(model, found, noted, export(model)[0]))
+    except ValueError as error:
+        raise damaged(keeper.folder / CHECKPOINT, error) from None
     return model
 
 
 def is_done(config, folder):
-    """Whether the training `config` has its policy, to the last step, in `folder`."""
-    if not (folder / "policy.npz").exists() or not (folder / "policy.json").exists():
+    """Whether the training `config` has its policy, to the last step, in `folder`. Raises UsageError, which says what to do,
+    where the policy's recipe is damaged."""
+    path = folder / "policy.json"
+    if not (folder / "policy.npz").exists() or not path.exists():
         return False
-    recipe, wanted = json.loads((folder / "policy.json").read_text()), plain(config)
-    return recipe["steps_done"] >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
+    try:
+        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), plain(config)
+        done = recipe.get("steps_done")
+        if isinstance(done, bool) or not isinstance(done, int | float):
+            raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
+    except UsageError as error:
+        raise UsageError(f"{str(error).rstrip('.')}. Delete '{path}': --resume writes it anew.") from None
+    return done >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
 
 
 @one_thread()
@@ -246,7 +253,7 @@ def train(
     `resume`, this one's, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
-    with lock_folder(path, alone=("config.json",)):
+    with lock_folder(path, FILES, alone=("config.json",)):
         return _train(config, path, resume, show, seconds_between_checkpoints)
 
 
@@ -258,9 +265,9 @@ def _train(config, path, resume, show, seconds_between_checkpoints):
     keeper = _Keeper(config, folder)
     if config.algo == "bc":
         return _train_bc(config, keeper, show)
-    saved = read_checkpoint(folder / "checkpoint.pkl")
-    if saved:
-        model = _restore(saved, keeper)
+    model = _restored(keeper)
+    resumed = model is not None
+    if resumed:
         show(model.num_timesteps, {})
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
@@ -269,7 +276,7 @@ def _train(config, path, resume, show, seconds_between_checkpoints):
     with start.deferred(lambda: model.num_timesteps > begun) as interrupted:
         progress = _Progress(keeper, show, seconds_between_checkpoints, interrupted)
         if left > 0:
-            model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not saved)
+            model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not resumed)
         if not keeper.validations or keeper.validations[-1]["steps"] != model.num_timesteps:
             scores = _validate(model, keeper, interrupted)
             show(model.num_timesteps, scores, validation=True)

@@ -3,20 +3,31 @@
 import contextlib
 import dataclasses
 import pathlib
-import pickle
 import time
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
 from macid import geometry, physics, scene, start
-from macid.files import lock_folder, versions, write_bytes
+from macid.files import UsageError, lock_folder, versions
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
-from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
+from macid.learning.curves import (
+    CHECKPOINT,
+    FILES,
+    check_arrays,
+    damaged,
+    plain,
+    read_checkpoint,
+    thin,
+    training_folder,
+    write_checkpoint,
+    write_curve,
+)
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
@@ -340,7 +351,7 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
     with contextlib.ExitStack() as held:
         for path in paths:
-            held.enter_context(lock_folder(path, alone=("config.json",)))
+            held.enter_context(lock_folder(path, FILES, alone=("config.json",)))
         return _train(configs, paths, resume, show, minutes_between_checkpoints)
 
 
@@ -348,20 +359,16 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
     """`train`, of `configs` in the folders `paths`, which are locked."""
     config, seeds = configs[0], len(configs)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
-    checkpoint = folders[0] / "checkpoint.pkl"
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if saved := read_checkpoint(checkpoint):
-        if saved["configs"] != configs:
-            raise ValueError(f"'{checkpoint}' is of {len(saved['configs'])} seeds, not {seeds}. Use another --out.")
-        states = jax.tree.map(_restore, saved["states"], states)
-        curves, spent = saved["curves"], saved["seconds"]
+    if saved := _read(folders[0], configs, states):
+        states, curves, spent = saved
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
 
     def save():
-        content = {"configs": configs, "states": jax.tree.map(_keep, states), "curves": curves, "seconds": spent}
-        write_bytes(checkpoint, pickle.dumps(content))
+        noted = {"configs": [plain(each) for each in configs], "curves": curves, "seconds": spent}
+        write_checkpoint(folders[0], _named(states), noted)
         for folder, curve in zip(folders, curves, strict=True):
             write_curve(folder / "curve.csv", curve)
 
@@ -384,9 +391,10 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
             for index, curve in enumerate(curves):
                 values = {name: float(value[index]) for name, value in logs.items()}
                 curve.append({"agent_steps": steps, "seconds": round(spent, 2), **values})
-                if not np.isfinite(values["reward"]):
+                if wrong := [name for name, value in values.items() if not np.isfinite(value)]:
                     raise FloatingPointError(
-                        f"Training of seed {configs[index].seed} diverged at iteration {done}: the reward is {values['reward']}."
+                        f"Training of seed {configs[index].seed} diverged at iteration {done}: "
+                        f"the {wrong[0]} is {values[wrong[0]]}."
                     )
             if now - last_show > 5.0 or done == trainer.iterations:
                 last_show = now
@@ -417,6 +425,43 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
         policies.append(trainer.policy(state, recipe))
         policies[-1].save(folder / "policy")
     return policies
+
+
+class _Noted(msgspec.Struct):
+    """What a checkpoint notes beside a training's state."""
+
+    configs: list[dict]
+    curves: list[list[dict[str, float]]]
+    seconds: float
+
+
+def _read(folder, configs, like):
+    """(states, curves, seconds) of the checkpoint in `folder` of a training of `configs`; None where there is none.
+
+    like: states of that training. Raises UsageError.
+    """
+    if not (saved := read_checkpoint(folder, _Noted)):
+        return None
+    (found, noted), path, wanted = saved, folder / CHECKPOINT, _named(like)
+    if noted["configs"] != [plain(each) for each in configs]:
+        raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
+    try:
+        check_arrays(found, wanted)
+        states = jax.tree.unflatten(
+            jax.tree.structure(like), [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like))]
+        )
+        done = {len(curve) for curve in noted["curves"]} | {int(states.iteration)}
+        if len(noted["curves"]) != len(configs) or len(done) != 1:
+            raise ValueError("the curves are not as long as the training")
+    except ValueError as error:
+        raise damaged(path, error) from None
+    return states, noted["curves"], noted["seconds"]
+
+
+def _named(states):
+    """{name: NumPy array} of all leaves of `states`, in their order."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(states)
+    return {jax.tree_util.keystr(path): _keep(leaf) for path, leaf in leaves}
 
 
 def _keep(x):
