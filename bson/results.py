@@ -68,7 +68,7 @@ class Results(msgspec.Struct):
 def read_results(path):
     """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
     try:
-        content = parse(path, "results", read_bytes(path, "results", MOST_BYTES))
+        content = parse(path, "results", read_bytes(path, "results", MOST_BYTES), ".json")
     except UsageError as error:
         raise UsageError(f"No results in '{path}': {str(error).rstrip('.')}. {_WHAT}") from None
     missing = [key for key in _NEEDED if not isinstance(content, dict) or key not in content]

@@ -118,10 +118,13 @@ _PARSERS = {
 }
 
 
-def parse(path, what, content):
-    """The document in `content` (bytes), as the ending of `path` has it: dicts, lists, numbers, text. Raises UsageError."""
-    path = pathlib.Path(path)
-    language, parser = _PARSERS[path.suffix]
+def parse(path, what, content, ending=None):
+    """The document in `content` (bytes), as the ending of `path`, or `ending`, has it: dicts, lists, numbers, text. Raises
+    UsageError."""
+    ending = pathlib.Path(path).suffix if ending is None else ending
+    if ending not in _PARSERS:
+        raise UsageError(f"{what} {shown_path(path)} must end in {', '.join(_PARSERS)}.")
+    language, parser = _PARSERS[ending]
     try:
         return parser(content.decode("utf-8-sig"))
     except RecursionError:
