@@ -4,6 +4,7 @@ The origin is the centre of the map. A layout is frozen; whatever is drawn comes
 """
 
 import dataclasses
+import functools
 import numbers
 from typing import Annotated
 
@@ -273,20 +274,33 @@ def _draw(rng, number, half, region):
 
 def most_clearance(layout, region=None):
     """The most that the centre of somebody on `layout` can be away from obstacles [m], in the boxes `region` (N, 5) if
-    given, looked for each quarter of a metre; 0 where there is no place."""
-    step = max(0.25, layout.size / 400)
-    if region is None:
-        axis = np.arange(-layout.size / 2 + step / 2, layout.size / 2, step)
-        places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    else:
-        spans = [[np.linspace(-h, h, min(2 + int(2 * h / step), 200)) for h in box[2:4]] for box in region[:100]]
-        grids = [np.stack(np.meshgrid(*span), axis=-1).reshape(-1, 2) for span in spans]
-        places = np.concatenate(
-            [box[:2] + geometry.rotate(grid, box[4]) for box, grid in zip(region, grids, strict=False)]
-        )
-    places = places[(np.abs(places) < layout.size / 2).all(axis=-1)]
-    parts = np.array_split(places, 1 + len(places) * len(layout.boxes) // 1_000_000)
-    return max((float(clearance(part, layout.boxes).max()) for part in parts if len(part)), default=0.0)
+    given, to about a centimetre; 0 where there is no place."""
+    region = np.array([[0.0, 0.0, layout.size / 2, layout.size / 2, 0.0]]) if region is None else region
+    return _most_clearance(layout.size, layout.obstacles.tobytes(), region.tobytes())
+
+
+@functools.lru_cache(16)  # whoever looks for room asks again and again
+def _most_clearance(size, obstacles, region):
+    boxes = np.concatenate([outer_walls(size), np.frombuffer(obstacles).reshape(-1, 5)])
+    region = np.frombuffer(region).reshape(-1, 5)[:100]
+    best = 0.0
+    for x, y, half_x, half_y, yaw in region:
+        low, high = -np.array([half_x, half_y]), np.array([half_x, half_y])
+        for _ in range(5):  # around the best place so far, ever more closely
+            spans = [np.linspace(*ends, max(2, min(60, 2 + int(8 * (ends[1] - ends[0]))))) for ends in zip(low, high, strict=True)]
+            local = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2)
+            places = np.array([x, y]) + geometry.rotate(local, np.array(yaw))
+            parts = np.array_split(places, 1 + len(places) * len(boxes) // 1_000_000)
+            room = np.concatenate([clearance(part, boxes) for part in parts if len(part)])
+            room = np.where((np.abs(places) < size / 2).all(axis=-1), room, 0.0)
+            best = max(best, float(room.max()))
+            step = np.array([span[1] - span[0] for span in spans])
+            middle = local[room.argmax()]
+            low = np.maximum(middle - 2 * step, [-half_x, -half_y])
+            high = np.minimum(middle + 2 * step, [half_x, half_y])
+            if (high - low <= 0.01).any():
+                break
+    return best
 
 
 def _no_room(layout, region, name):
