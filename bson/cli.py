@@ -1,6 +1,5 @@
 """The `bson` command."""
 
-import argparse
 import ast
 import contextlib
 import dataclasses
@@ -9,7 +8,33 @@ import pathlib
 import shlex
 import sys
 
-from macid.files import HelpFormatter, UsageError, output_folder, run_command, write_bytes, write_json
+from macid import start
+from macid.command import (
+    MOST_PEOPLE,
+    MOST_SEED,
+    MOST_STEPS,
+    MOST_TRAINING_SEED,
+    MOST_WORLDS,
+    Parser,
+    check_words,
+    name,
+)
+from macid.files import (
+    HelpFormatter,
+    UsageError,
+    check_file,
+    check_folder,
+    lock_folder,
+    new_folder,
+    output_folder,
+    remove_leftovers,
+    run_command,
+    start_mujoco,
+    write_bytes,
+    write_json,
+)
+
+_MOST_FILMS = 10_000
 
 
 def _track_names(args, make_agent):
@@ -18,17 +43,49 @@ def _track_names(args, make_agent):
 
 
 def _overrides(pairs):
-    """`KEY=VALUE` words as a dict; values are Python literals or plain text."""
+    """`KEY=VALUE` words as a dict of TaskConfig's fields; values are Python literals or plain text. Raises UsageError."""
+    from bson.task import TaskConfig
+    from macid.documents import check_values, shown
+
+    fields = [field.name for field in dataclasses.fields(TaskConfig)]
     changes = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals:
-            raise UsageError(f"--set takes KEY=VALUE, not '{pair}'.")
-        try:
-            changes[key] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            changes[key] = text
+            raise UsageError(f"--set takes KEY=VALUE, not {shown(pair)}.")
+        if key not in fields:
+            raise UsageError(f"Unknown option {shown(key)}. Choose among {', '.join(fields)}.")
+        changes[key] = _literal(key, text)
+
+    def tell(key, problem):
+        raise UsageError(f"--set {key}: {problem}.")
+
+    check_values(changes, tell)
     return changes
+
+
+def _literal(key, text):
+    """`text` as the Python literal that it is, of what JSON has, else as it is. Raises UsageError."""
+    from macid.documents import shown
+
+    try:
+        value = ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+    except (RecursionError, MemoryError):
+        raise UsageError(f"--set {key}: the value is nested too deeply: {shown(text)}.") from None
+    except TypeError as error:  # a list as a dict's key
+        raise UsageError(f"--set {key}: {shown(text)} is no value ({error}).") from None
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, dict):
+            waiting += one.values()
+        elif isinstance(one, list | tuple):
+            waiting += one
+        elif not isinstance(one, None | bool | int | float | str):
+            raise UsageError(f"--set {key} takes numbers, texts, lists and dicts, not {shown(one)}.")
+    return value
 
 
 def _check_spawn(config, seeds):
@@ -149,44 +206,45 @@ def _evaluate(args):
     make_agent = load_agent(args.agent)
     track_names = _track_names(args, make_agent)
     track = make_track(*track_names)
-    if args.videos < 0:
-        raise UsageError(f"--videos must be at least 0, not {args.videos}.")
     for cell in cells:
         _check_spawn(cell.config, seeds)
-    out = output_folder(args.out)
-    if (out / "results.json").is_dir():
-        raise UsageError(f"'{out / 'results.json'}' is a folder. Choose another --out.")
+    out = check_folder(args.out)
+    for file in (out / "results.json", out / "report.html", *(out / "videos").glob("seed-*.webm")):
+        check_file(file)
+    check_folder(out / "videos")
     follows_from = basis(args.agent, track_names, cells, args.paired)
-    unfinished = Unfinished(out, follows_from, args.resume)
-    played = []
-    for cell in cells:
-        name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
-        played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
-    content = results(
-        args.agent,
-        suite.name,
-        cells,
-        played,
-        suite_digest=suite.digest if not changes else None,
-        task_digest=files_digest(follows_from),
-        track=[track_names[0], sensor_label(track_names[1])],
-        sensors=sensor_settings(track.sensors),
-        paired=args.paired,
-        overrides={key: str(value) for key, value in changes.items()},
-        frozen_seeds=args.seed == 0,
-        command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
-    )
-    print(format_summary(content), flush=True)
-    # What an earlier run left here does not belong to these results.
-    for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
-        stale.unlink(missing_ok=True)
-    write_json(out / "results.json", content)
-    played = [sound(episodes) for episodes in played]
-    videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
-    write_bytes(
-        out / "report.html", make_report(content, [e for each in played for e in each], videos, why_not).encode()
-    )
-    unfinished.discard()
+    with lock_folder(out):
+        unfinished = Unfinished(out, follows_from, args.resume)
+        played = []
+        for cell in cells:
+            name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
+            played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
+        content = results(
+            args.agent,
+            suite.name,
+            cells,
+            played,
+            suite_digest=suite.digest if not changes else None,
+            task_digest=files_digest(follows_from),
+            track=[track_names[0], sensor_label(track_names[1])],
+            sensors=sensor_settings(track.sensors),
+            paired=args.paired,
+            overrides={key: str(value) for key, value in changes.items()},
+            frozen_seeds=args.seed == 0,
+            command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
+        )
+        # What an earlier run left here does not belong to these results.
+        remove_leftovers(out / "videos")
+        for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
+            if not stale.is_symlink():
+                stale.unlink(missing_ok=True)
+        write_json(out / "results.json", content)
+        print(format_summary(content), flush=True)
+        played = [sound(episodes) for episodes in played]
+        videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
+        report = make_report(content, [e for each in played for e in each], videos, why_not)
+        write_bytes(out / "report.html", report.encode())
+        unfinished.discard()
     print(f"Written: {out / 'results.json'}, {out / 'report.html'}" + "".join(f", {path}" for path, _ in videos))
     return 0
 
@@ -195,9 +253,12 @@ def _compare(args):
     from bson.compare import compare, format_comparison, load_run, make_page
 
     content = compare([load_run(source) for source in args.results])
-    out = output_folder(args.out)
-    write_json(out / "compare.json", content)
-    write_bytes(out / "compare.html", make_page(content).encode())
+    page, out = make_page(content), check_folder(args.out)
+    for file in ("compare.json", "compare.html"):
+        check_file(out / file)
+    with lock_folder(out):
+        write_json(out / "compare.json", content)
+        write_bytes(out / "compare.html", page.encode())
     print(format_comparison(content))
     print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
     return 0
@@ -231,14 +292,10 @@ def _render(args):
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    if args.seed < 0:
-        raise UsageError(f"A seed must be at least 0, not {args.seed}.")
-    if path.is_dir():
-        raise UsageError(f"--out '{path}' is a folder. Name a file.")
+    check_file(path)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [args.seed])
-    output_folder(path.parent)
     with _progress(args.agent, 1) as progress:
         (episode,) = run_episodes(make_agent, config, track, [args.seed], args.agent, progress)
     if episode.fault:
@@ -248,9 +305,11 @@ def _render(args):
         step = len(episode.pose) // 2 if args.step is None else args.step
         if not -len(episode.pose) <= step < len(episode.pose):
             raise UsageError(f"--step must be below {len(episode.pose)}, the episode's length, not {step}.")
-        film.still(model, episode, path, step)
+        with new_folder(path.parent):
+            film.still(model, episode, path, step)
     else:
-        film.film(model, episode, path, title=args.agent)
+        with new_folder(path.parent):
+            film.film(model, episode, path, title=args.agent)
     print(f"Written: {path}")
     return 0
 
@@ -268,14 +327,13 @@ def _train(args):
     with _agents_extra():
         from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, train_with_bar
 
-    if not 1 <= args.steps < 1e12:
-        raise UsageError(f"--steps must be from 1 to 1e12, not {args.steps}.")
     if args.algo not in ALGORITHMS:
         raise UsageError(f"Unknown algorithm '{args.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
     hyperparameters = PRESETS[args.preset][args.algo]
     config = TrainConfig(
         args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
     )
+    start.cleaning_up()
     folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
@@ -285,6 +343,7 @@ def _train(args):
 
 def _bench(args):
     from bson import bench
+    from bson.task import TaskConfig
     from macid.pedestrians import make_controller
 
     make_controller(args.pedestrian_model, 0.1)
@@ -296,14 +355,10 @@ def _bench(args):
         "algos": args.train or None,
     }
     given = {name: value for name, value in given.items() if value is not None}
-    seconds = 1.0 if args.seconds is None else args.seconds
-    if min(args.pedestrians or [0]) < 0 or min(args.worlds or [1]) < 1 or not 0 < seconds < 1e6:
-        raise UsageError("--pedestrians must be at least 0, --worlds at least 1, --seconds above 0.")
+    for people in args.pedestrians or []:
+        TaskConfig(num_pedestrians=people)  # raises what is wrong with it
     if args.out:
-        path = pathlib.Path(args.out)
-        output_folder(path.parent)
-        if path.is_dir():
-            raise UsageError(f"--out '{path}' is a folder. Name a file.")
+        path = check_file(args.out)
     if args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
@@ -312,7 +367,8 @@ def _bench(args):
         with _agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
     if args.out:
-        write_json(path, {"machine": bench.machine(), "rows": rows})
+        with new_folder(path.parent):
+            write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
 
 
@@ -343,9 +399,9 @@ def _list(args):
 
 
 def _add_setting(command):
-    command.add_argument("--agent", default="vfh", help="a name (bson list), module:function, or file.py[:function]")
-    command.add_argument("--track", default=None, help="local or global (default: what the agent wants)")
-    command.add_argument("--sensor", default=None, help="lidar2d, ... (default: what the agent wants)")
+    command.add_argument("--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]")
+    command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
+    command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
     _add_task(command)
 
 
@@ -360,12 +416,16 @@ def _add_task(command):
 
 
 def _add_evaluation(command, out, suite):
-    command.add_argument("--suite", default=suite, help="a name (bson list)")
-    command.add_argument("--episodes", type=int, default=None, help="only the suite's first N episodes")
-    command.add_argument("--seed", type=int, default=0, help="0: the suite's own seeds; else another set of its kind")
-    command.add_argument(
+    command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
+    command.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    command.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="0: the suite's own seeds; else another set of its kind"
+    )
+    command.number(
         "--videos",
-        type=int,
+        int,
+        0,
+        _MOST_FILMS,
         default=2,
         help="films, from the worst episode to the best; of several cells the worst episodes of this many worst cells, "
         "and the best of the best",
@@ -378,14 +438,14 @@ def _add_evaluation(command, out, suite):
     command.add_argument(
         "--resume", action="store_true", help="go on with an evaluation that was cut short in the folder --out"
     )
-    command.add_argument("--out", default=out, help="folder for results.json, report.html and videos/")
+    command.add_argument("--out", type=name, default=out, help="folder for results.json, report.html and videos/")
     command.set_defaults(run=_evaluate)
 
 
 def parser():
     """The command's parser."""
     defaults = {"formatter_class": HelpFormatter}
-    root = argparse.ArgumentParser(prog="bson", description="A benchmark for robots that drive among people.")
+    root = Parser(prog="bson", description="A benchmark for robots that drive among people.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
 
     demo = commands.add_parser(
@@ -401,14 +461,15 @@ def parser():
     compare = commands.add_parser(
         "compare", help="results beside each other, with paired differences from the first", **defaults
     )
-    compare.add_argument("results", nargs="+", help="folders that bson evaluate wrote, or their results.json")
-    compare.add_argument("--out", default="comparison", help="folder for compare.json and compare.html")
+    compare.add_argument("results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    compare.add_argument("--out", type=name, default="comparison", help="folder for compare.json and compare.html")
     compare.set_defaults(run=_compare)
 
     leaderboard = commands.add_parser("leaderboard", help="results as a Markdown table, sorted by SNS", **defaults)
-    leaderboard.add_argument("results", nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    leaderboard.add_argument("results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json")
     leaderboard.add_argument(
         "--readme",
+        type=name,
         default=None,
         help="also put it into this file, between <!-- leaderboard --> and <!-- /leaderboard -->",
     )
@@ -416,34 +477,34 @@ def parser():
 
     render = commands.add_parser("render", help="film one seed", **defaults)
     _add_setting(render)
-    render.add_argument("--seed", type=int, default=0)
-    render.add_argument("--step", type=int, default=None, help="of a .png: the control step (default: halfway)")
-    render.add_argument("--out", default="episode.webm", help="a .webm film, or a .png picture")
+    render.number("--seed", int, 0, MOST_SEED, default=0)
+    render.number("--step", int, -MOST_SEED, MOST_SEED, default=None, help="of a .png: the control step (default: halfway)")
+    render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
-    train.add_argument("--algo", default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
-    train.add_argument(
-        "--steps", type=float, default=1e6, help="control steps of all worlds; of demonstrations with bc"
+    train.add_argument("--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
+    train.number(
+        "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
-    train.add_argument("--worlds", type=int, default=16, help="at once")
-    train.add_argument("--seed", type=int, default=0)
+    train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="at once")
+    train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0)
     train.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
     )
     _add_task(train)
-    train.add_argument("--out", default="runs", help="folder; each training gets one in it")
+    train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
-    bench.add_argument("--train", nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)")
-    bench.add_argument("--pedestrians", type=int, nargs="+", help="(default: 24 50 100 200; training: 24)")
-    bench.add_argument("--worlds", type=int, nargs="+", help="at once (default: 1 16; training: 16)")
-    bench.add_argument("--sensors", nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
-    bench.add_argument("--seconds", type=float, help="time a case (default: 2; training: 20)")
-    bench.add_argument("--pedestrian-model", default="macid", help="(default: macid)")
-    bench.add_argument("--out", help="JSON file")
+    bench.add_argument("--train", type=name, nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)")
+    bench.number("--pedestrians", int, 0, MOST_PEOPLE, nargs="+", help="(default: 24 50 100 200; training: 24)")
+    bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", help="at once (default: 1 16; training: 16)")
+    bench.add_argument("--sensors", type=name, nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
+    bench.number("--seconds", float, 0.0, 1e6, above=True, help="time a case (default: 2; training: 20)")
+    bench.add_argument("--pedestrian-model", type=name, default="macid", help="(default: macid)")
+    bench.add_argument("--out", type=name, help="JSON file")
     bench.set_defaults(run=_bench)
 
     commands.add_parser("doctor", help="check this installation").set_defaults(run=_doctor)
@@ -451,13 +512,23 @@ def parser():
     return root
 
 
+_DRAW_NOTHING = (_compare, _leaderboard, _doctor, _list)
+
+
 def main(argv=None):
-    """Entry point; returns the exit code."""
-    argv = sys.argv[1:] if argv is None else argv
-    args = parser().parse_args(argv)
-    args.argv = argv
-    return run_command("bson", lambda: args.run(args))
+    """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
+    if argv is None:
+        return start.run("bson", start.bson_command)
+
+    def command():
+        check_words(argv)
+        args = parser().parse_args(argv)
+        args.argv = argv
+        start_mujoco(draws=args.run not in _DRAW_NOTHING)
+        return args.run(args)
+
+    return run_command("bson", command)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(start.bson())

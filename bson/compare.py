@@ -13,6 +13,8 @@ from bson import heatmap
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, METRICS, summarise
 from bson.page import numbers, page, plural
+from bson.results import read_results
+from macid.documents import shown
 
 MAIN = (
     "SNS", "success", "RC", "Coll", "SP", "PE", "SPL", "Coll_person", "time", "nearest_person", "personal_space",
@@ -20,7 +22,6 @@ MAIN = (
 )  # fmt: skip
 BY_CELL = ("SNS", "success", "Coll")
 LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance in more than 5%
-_NEEDED = ("agent", "suite", "versions", "summary", "intervals", "cells", "episodes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,25 +43,9 @@ class Run:
 
 
 def load_run(source):
-    """The Run in `source`, a folder that `bson evaluate` wrote, or its results.json. Raises ValueError."""
+    """The Run in `source`, a folder that `bson evaluate` wrote, or its results.json. Raises UsageError."""
     path = pathlib.Path(source)
-    path = path / "results.json" if path.is_dir() else path
-    try:
-        content = json.loads(path.read_text())
-    except OSError as error:
-        raise ValueError(
-            f"No results in '{source}': {error.strerror}. Name folders of bson evaluate (--out), or their results.json."
-        ) from None
-    except ValueError:
-        raise ValueError(
-            f"'{path}' is not JSON. Name folders of bson evaluate (--out), or their results.json."
-        ) from None
-    missing = [key for key in _NEEDED if not isinstance(content, dict) or key not in content]
-    if not missing and not all("cell" in row for row in content["episodes"]):
-        missing = ["cell"]
-    if missing:
-        raise ValueError(f"'{path}' has no '{missing[0]}': it isn't of this version's bson evaluate. Evaluate again.")
-    return Run(str(source), content)
+    return Run(str(source), read_results(path / "results.json" if path.is_dir() else path))
 
 
 def check_comparable(runs):
@@ -77,8 +62,8 @@ def check_comparable(runs):
             for field, value in run.configs.get(cell, config).items():
                 if config.get(field) != value:
                     raise ValueError(
-                        f"Can't compare '{first.source}' and '{run.source}': {field} is {config.get(field)} against "
-                        f"{value} in cell '{cell}'."
+                        f"Can't compare '{first.source}' and '{run.source}': {field} is {shown(config.get(field))} "
+                        f"against {shown(value)} in cell '{cell}'."
                     )
         ours, theirs = (each.content.get("task_digest") for each in (first, run))
         if ours and theirs and ours != theirs:
@@ -105,7 +90,8 @@ def labels(runs):
 
 def _shared(runs):
     """(cell, seed) of the episodes that all runs have, in the first one's order. Raises ValueError if there is none."""
-    shared = [key for key in runs[0].rows if all(key in run.rows for run in runs)]
+    rows = [run.rows for run in runs]
+    shared = [key for key in rows[0] if all(key in others for others in rows)]
     if not shared:
         seeds = [[row["seed"] for row in run.content["episodes"]] for run in runs]
         told = ", ".join(

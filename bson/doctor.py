@@ -1,10 +1,20 @@
-"""Is this installation well? Versions, GL, threads, sensors, and how to mend what is missing."""
+"""Is this installation well? Versions, GL, threads, sensors, and how to mend what is missing.
+
+This file runs without the package `bson` too, where another package has taken its name (see macid.start).
+"""
 
 import contextlib
+import functools
 import importlib
 import os
 import platform
+import subprocess
 import sys
+
+from macid import start
+from macid.files import run_command, start_mujoco
+
+_PATIENCE = 120  # for the process that tries to draw [s]
 
 
 def _versions():
@@ -17,6 +27,21 @@ def _python():
     if sys.version_info < (3, 11):
         raise RuntimeError(f"Python {platform.python_version()} is too old: use 3.11 or newer")
     return platform.python_version()
+
+
+def _name():
+    if problem := start.shadowed():
+        raise RuntimeError(f"{problem}; gymnasium.make does not find BSON's environments then")
+    return "bson is ours"
+
+
+def _namesakes():
+    if others := start.others():
+        raise RuntimeError(
+            f"{' and '.join(others)} also installs a package bson. One of the two is broken, and uninstalling it deletes "
+            "a file of ours"
+        )
+    return "no other package of the name bson"
 
 
 def _packages():
@@ -52,11 +77,29 @@ def _jax():
 
 
 def _gl():
+    if problem := _trial():
+        raise RuntimeError(problem)
     from macid.drawing import gl_problem
 
     if problem := gl_problem():
         raise RuntimeError(problem)
     return f"offscreen pictures work (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')})"
+
+
+@functools.cache
+def _trial():
+    """Why a process of its own can't draw here, None where it can: some backends abort instead of raising errors."""
+    root = os.path.dirname(os.path.dirname(os.path.abspath(start.__file__)))
+    code = f"import sys; sys.path.insert(0, {root!r}); from macid.drawing import gl_problem; print(gl_problem() or '')"
+    chosen = f"with MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}"
+    try:
+        tried = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        return f"a process that tries to draw {chosen} does not end within {_PATIENCE} s"
+    if tried.returncode == 0:
+        return " ".join(tried.stdout.split()) or None
+    last = (tried.stderr.strip().splitlines() or ["no message"])[-1]
+    return f"a process that tries to draw {chosen} ends with code {tried.returncode}: {last}"
 
 
 def _read(cameras):
@@ -88,7 +131,7 @@ def _sensors():
 def _cameras():
     from macid.drawing import gl_problem
 
-    if gl_problem():
+    if _trial() or gl_problem():
         raise RuntimeError("not tried: there are no pictures here")
     return _read(cameras=True)
 
@@ -96,6 +139,8 @@ def _cameras():
 # (what, check, whether nothing works without, how to mend it)
 CHECKS = (
     ("python", _python, True, "install Python 3.11 or newer and run tools/setup.sh again"),
+    ("name", _name, True, start.CURE),
+    ("namesakes", _namesakes, False, start.CURE),
     ("packages", _packages, True, "run tools/setup.sh, or pip install bson-macid"),
     ("versions", _versions, True, "run tools/setup.sh, or pip install bson-macid"),
     ("assets", _assets, True, "reinstall the package"),
@@ -105,15 +150,29 @@ CHECKS = (
     ("pictures", _gl, False, "apt-get install libegl1 libgl1-mesa-dri, and leave MUJOCO_GL unset or egl"),
     ("cameras", _cameras, False, "as pictures"),
 )
+_OF_BSON = ("versions", "assets", "physics", "sensors", "cameras")  # checks that import it
 
 
 def run(show=print):
     """Prints a line a check; returns whether all that is needed is there (pictures and cameras are not)."""
-    well = True
+    well, ours = True, start.shadowed() is None
     for name, check, needed, remedy in CHECKS:
         try:
-            show(f"  ok       {name:<10}{check()}")
+            if name in _OF_BSON and not ours:
+                show(f"  -        {name:<10}not tried: it needs bson, see 'name'")
+            else:
+                show(f"  ok       {name:<10}{check()}")
         except Exception as error:  # whatever it is, it is to be told
             well &= not needed
             show(f"  {'MISSING' if needed else 'without':<9}{name:<10}{error}\n{'':21}mend: {remedy}")
     return well
+
+
+def command():
+    """`bson doctor` as a command; its exit code."""
+
+    def examine():
+        start_mujoco(draws=False)
+        return 0 if run() else 1
+
+    return run_command("bson", examine)

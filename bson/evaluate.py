@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bson.agents import act
+from bson.agents import act, reset_agent
 from bson.metrics import METRICS, measure, summarise
 from bson.session import Recorder, Session
 from bson.world import World
@@ -34,8 +34,7 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
             return
         playing[index], seed = waiting.pop(0)
         observation = session.reset([index], [seed])
-        if hasattr(agents[index], "reset"):
-            agents[index].reset(seed)
+        reset_agent(agents[index], seed, agent_name)
         recorders[index] = Recorder(session, index)
         observations[index] = {name: value[0] for name, value in observation.items()}
 

@@ -1,13 +1,14 @@
 """The leaderboard: results of `bson evaluate` as Markdown tables, sorted by SNS, one a suite; and its place in a README."""
 
-import pathlib
 import shlex
 
 from bson.compare import check_comparable
 from bson.page import plural
-from macid.files import write_bytes
+from macid.documents import read_bytes
+from macid.files import UsageError, check_file, named, write_bytes
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- /leaderboard -->"
+_MOST_BYTES = 1 << 26  # of a README
 _COLUMNS = (  # after the SNS: metric, heading, how a mean is shown
     ("success", "success", "{:.0%}"),
     ("Coll", "Coll", "{:.1f}"),
@@ -83,13 +84,17 @@ def leaderboard(runs):
 
 def fill_readme(path, text):
     """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError without them."""
-    path = pathlib.Path(path)
+    path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:
-        content = path.read_text()
-    except OSError as error:
-        raise ValueError(f"Can't read '{path}': {error.strerror}. Name a text file with {BEGIN} and {END}.") from None
+        content = read_bytes(path, "README", _MOST_BYTES).decode()
+    except UnicodeDecodeError:
+        raise UsageError(f"{named(path)} is no text in UTF-8. {wanted}") from None
+    except UsageError as error:
+        raise UsageError(f"{error} {wanted}") from None
     before, begin, rest = content.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end or content.count(BEGIN) != 1 or content.count(END) != 1:
         raise ValueError(f"'{path}' must have the lines {BEGIN} and {END}, once each and in this order.")
-    write_bytes(path, f"{before}{BEGIN}\n{text}\n{END}{after}".encode())
+    newline = "\r\n" if "\r\n" in content else "\n"
+    table = f"{BEGIN}\n{text}\n{END}".replace("\n", newline)
+    write_bytes(path, f"{before}{table}{after}".encode())

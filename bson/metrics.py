@@ -293,6 +293,9 @@ def spread_by_score(episodes, most):
     return [ranked[place] for place in np.unique(places)]
 
 
+_DRAWN = 1 << 22  # values that are drawn at once, 32 MB
+
+
 def summarise(measured, resamples=9999):
     """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high", "count"}}.
 
@@ -306,7 +309,9 @@ def summarise(measured, resamples=9999):
         values = values[np.isfinite(values)]
         if not len(values):
             continue
-        means = np.random.default_rng(0).choice(values, (resamples, len(values))).mean(axis=1)
+        rng, rows = np.random.default_rng(0), max(1, _DRAWN // len(values))  # some at a time: the same draws
+        counts = [min(rows, resamples - first) for first in range(0, resamples, rows)]
+        means = np.concatenate([rng.choice(values, (count, len(values))).mean(axis=1) for count in counts])
         low, high = np.percentile(means, [2.5, 97.5])
         summary[name] = {"mean": float(values.mean()), "low": float(low), "high": float(high), "count": len(values)}
     return summary

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import os
 import pathlib
 import sys
 
@@ -13,10 +14,22 @@ from bson.evaluate import versions
 from bson.metrics import Episode
 from bson.tracks import make_track, sensor_settings
 from macid import assets
-from macid.files import UsageError, output_folder, write_bytes, write_json
+from macid.documents import parse, read_bytes
+from macid.files import (
+    UsageError,
+    check_file,
+    check_folder,
+    named,
+    output_folder,
+    remove_leftovers,
+    write_bytes,
+    write_json,
+)
 from macid.pedestrians import MODELS
 from macid.policy import load_policy
 
+_MOST_BASIS = 1 << 28  # bytes of basis.json, which has the settings of every cell
+_SEAL = hashlib.sha256().digest_size  # bytes at the end of an episode's file
 
 def _digest(contents):
     """A hash of some bytes. 12 hexadecimal digits."""
@@ -62,44 +75,80 @@ def basis(agent, track, cells, paired):
 
 
 class Unfinished:
-    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from."""
+    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from.
+
+    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the file: one
+    that was cut short or follows from something else is as if it were not there, so its episode is played anew.
+    """
 
     def __init__(self, out, basis, resume):
         """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
-        self._folder = output_folder(out / "unfinished")
+        self._folder, self._basis = check_folder(out / "unfinished"), basis
+        self._key = json.dumps(basis, sort_keys=True).encode()
         began = self._folder / "basis.json"
-        if resume and began.is_file():
-            before = json.loads(began.read_text())
+        check_file(began)
+        for path in self._folder.glob("*.npz"):
+            if not path.is_file():
+                check_file(path)
+        remove_leftovers(self._folder)
+        self._goes_on = resume and os.path.lexists(began)
+        if self._goes_on:
+            before = _read_basis(began)
             if changed := [name for name in basis if before.get(name) != basis[name]]:
                 raise UsageError(
                     f"The evaluation in '{out}' can't go on: {' and '.join(changed)} changed since it began. "
                     "Give the command that began it, or leave out --resume to begin anew."
                 )
-        else:
-            self.discard()
-            output_folder(self._folder)
-            write_json(began, basis)
 
     def _path(self, cell, seed):
         return self._folder / f"{cell.slug}-{seed}.npz"
 
+    def _seal(self, content):
+        return hashlib.sha256(self._key + content).digest()
+
     def save(self, cell, episode):
         """Keeps an episode of `cell`, or replaces it."""
+        if not self._goes_on:
+            self.discard()
+            output_folder(self._folder)
+            write_json(self._folder / "basis.json", self._basis)
+            self._goes_on = True
         fields = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
         content = io.BytesIO()
         np.savez(content, **{name: value for name, value in fields.items() if value is not None})
-        write_bytes(self._path(cell, episode.seed), content.getvalue())
+        write_bytes(self._path(cell, episode.seed), content.getvalue() + self._seal(content.getvalue()))
 
     def load(self, cell, seed):
         """The Episode `seed` of `cell` as it was saved, or None."""
-        if not (path := self._path(cell, seed)).is_file():
+        path = self._path(cell, seed)
+        if not self._goes_on or not path.is_file():
             return None
-        with np.load(path) as fields:
+        sealed = path.read_bytes()
+        content, seal = sealed[:-_SEAL], sealed[-_SEAL:]
+        if seal != self._seal(content):
+            return None
+        with np.load(io.BytesIO(content)) as fields:
             return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
 
     def discard(self):
         """Removes it all."""
-        for path in [*self._folder.glob("*.npz*"), *self._folder.glob(".*.npz.*"), *self._folder.glob("*basis.json*")]:
-            path.unlink()
-        if not any(self._folder.iterdir()):
+        remove_leftovers(self._folder)
+        if not self._folder.is_dir():
+            return
+        for path in [*self._folder.glob("*.npz"), self._folder / "basis.json"]:
+            if path.is_file() or path.is_symlink():
+                path.unlink()
+        if not self._folder.is_symlink() and not any(self._folder.iterdir()):
             self._folder.rmdir()
+
+
+def _read_basis(path):
+    """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
+    try:
+        basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
+        problem = None if isinstance(basis, dict) else "it is no object"
+    except UsageError as error:
+        problem = str(error).rstrip(".")
+    if problem:
+        raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
+    return basis

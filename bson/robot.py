@@ -31,18 +31,21 @@ import functools
 import hashlib
 import math
 import pathlib
-import tomllib
+from typing import Annotated, Literal
 from xml.etree import ElementTree
 
+import msgspec
 import mujoco
 import numpy as np
+from msgspec import Meta
 
 from macid import assets, geometry
-from macid.scene import BIT_FLOOR, BIT_SOLID
+from macid.documents import read_bytes, read_document, shown, shown_path
+from macid.files import UsageError
+from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
 MOUNTS = ("lidar", "lidar3d", "camera", "imu")  # that every robot has
-DRIVES = ("differential", "skid-steer")
 MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.world) [m/s]
 MAX_RADIUS = 0.8  # so that a robot begins clear of obstacles (bson.task) [m]
 _TYRE = {"friction": [0.8, 0.005, 0.0001], "solref": [0.15, 0.3], "solimp": [0.7, 0.7, 0.001, 0.5, 2.0]}
@@ -51,15 +54,79 @@ _HULL_FRICTION = [0.3, 0.005, 0.0001]
 _UNSEEN = 3  # the group of shapes that films don't draw
 _FRONT_FIELD = 42.0  # of the camera that films show, upright [deg]
 _BACKWARDS_UP = (0.5, 0.5, -0.5, -0.5)  # from x ahead, z up to a MuJoCo camera's -z ahead, y up
-_TABLES = {  # keys that a description must have, and those that it may
-    "": ("model base spawn_height drive footprint", "mounts"),
-    "drive": (
-        "kind left right max_speed max_yaw_rate wheel_radius track",
-        "rolling_radius effective_track gain max_torque",
-    ),
-    "footprint": ("half_length half_width", "bottom top"),
-    "mounts": ("position", "rpy"),
+_BOUNDS = {  # of a RobotConfig's numbers: least, most, unit
+    "max_speed": (0.01, MAX_SPEED, "m/s"),
+    "max_yaw_rate": (0.01, 20.0, "rad/s"),
+    "wheel_radius": (0.005, MAX_RADIUS, "m"),
+    "rolling_radius": (0.005, MAX_RADIUS, "m"),
+    "track": (0.02, 2 * MAX_RADIUS, "m"),
+    "effective_track": (0.02, 10.0, "m"),
+    "half_length": (0.02, MAX_RADIUS, "m"),
+    "half_width": (0.02, MAX_RADIUS, "m"),
+    "spawn_height": (0.0, 2.0, "m"),
 }
+_MASS = (0.1, 1000.0)  # of a robot [kg]
+_GYRATION = (0.0005, 2.0)  # radius of gyration of a body about any axis [m]
+_SIZE = (0.001, 2.0)  # radius of what touches the floor [m]
+_MODEL_BYTES = 1 << 24
+_MOST_COPIES = 4096  # of an element of a model, or sides of a texture [pixels]
+
+
+def _domain(name):
+    least, most, unit = _BOUNDS[name]
+    return f"a number above 0, from {least:g} to {most:g} {unit}" if least else f"a number from 0 to {most:g} {unit}"
+
+
+def _bounded(name):
+    least, most, _ = _BOUNDS[name]
+    return Annotated[float, Meta(ge=least, le=most, description=_domain(name))]
+
+
+_Name = Annotated[str, Meta(min_length=1, max_length=1000, description="a name")]
+_Wheels = Annotated[list[_Name], Meta(min_length=1, max_length=32, description="a list of joints' names")]
+_Gain = Annotated[float, Meta(ge=1e-3, le=1e4, description="a number above 0, from 0.001 to 10000")]
+_Height = Annotated[float, Meta(ge=1e-3, le=3.0, description="a height above the ground, from 0.001 to 3 m")]
+_Triple = Annotated[
+    list[Annotated[float, Meta(ge=-10.0, le=10.0)]],
+    Meta(min_length=3, max_length=3, description="three numbers from -10 to 10"),
+]
+
+
+class _Drive(msgspec.Struct, forbid_unknown_fields=True):
+    kind: Literal["differential", "skid-steer"]
+    left: _Wheels
+    right: _Wheels
+    max_speed: _bounded("max_speed")
+    max_yaw_rate: _bounded("max_yaw_rate")
+    wheel_radius: _bounded("wheel_radius")
+    track: _bounded("track")
+    rolling_radius: _bounded("rolling_radius") | None = None
+    effective_track: _bounded("effective_track") | None = None
+    gain: _Gain | None = None
+    max_torque: _Gain | None = None
+
+
+class _Footprint(msgspec.Struct, forbid_unknown_fields=True):
+    half_length: _bounded("half_length")
+    half_width: _bounded("half_width")
+    bottom: _Height | None = None
+    top: _Height | None = None
+
+
+class _Mount(msgspec.Struct, forbid_unknown_fields=True):
+    position: _Triple
+    rpy: _Triple = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+class _Description(msgspec.Struct, forbid_unknown_fields=True):
+    """The keys of a robot's file."""
+
+    model: _Name
+    base: _Name
+    spawn_height: _bounded("spawn_height")
+    drive: _Drive
+    footprint: _Footprint
+    mounts: Annotated[dict[_Name, _Mount], Meta(max_length=100)] = {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,13 +145,11 @@ class RobotConfig:
     spawn_height: float  # of the base's frame above the ground when the robot stands still [m]
 
     def __post_init__(self):
-        for field in dataclasses.fields(self)[1:]:
-            value, on_ground = getattr(self, field.name), field.name == "spawn_height"
-            if not (_positive(value) or on_ground and value == 0):
-                domain = "at least 0" if on_ground else "above 0"
-                raise ValueError(f"Robot '{self.name}': {field.name} must be a number {domain}, not {value!r}.")
-        if self.max_speed > MAX_SPEED:
-            raise ValueError(f"Robot '{self.name}': max_speed must be at most {MAX_SPEED} m/s, not {self.max_speed}.")
+        for name, (least, most, _) in _BOUNDS.items():
+            value = getattr(self, name)
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (number and least <= value <= most):
+                raise ValueError(f"Robot '{self.name}': {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(
                 f"Robot '{self.name}': half_length and half_width make a circle of {self.radius:.2f} m around the "
@@ -295,20 +360,50 @@ def robot_names():
 def load_robot(name):
     """The Robot of a description: a name of `robot_names()`, or a .toml file.
 
-    Raises ValueError, naming the valid choices, or what is wrong in the description or its model.
+    Raises UsageError, naming the valid choices, or what is wrong in the description or its model.
     """
     path = pathlib.Path(name)
     if path.suffix != ".toml":
         if name not in robot_names():
-            raise ValueError(f"Unknown robot '{name}'. Choose one of {', '.join(robot_names())}, or a .toml file.")
+            cure = _CURES.get(path.suffix.lower(), "")
+            raise UsageError(
+                f"Unknown robot {shown_path(name)}. Choose one of {', '.join(robot_names())}, or a .toml file.{cure}"
+            )
         path = assets.path("robots", f"{name}.toml")
-    if not path.is_file():
-        raise ValueError(f"There is no robot file '{name}'.")
-    fields = _fields(path.resolve(), path.stat().st_mtime_ns)
-    model = path.parent / fields["model"]
-    if not model.is_file():
-        raise ValueError(f"{name}: there is no model file '{model}'.")
-    return _load(str(name), path.resolve(), path.stat().st_mtime_ns, model.stat().st_mtime_ns)
+    try:
+        if not path.is_file():
+            raise UsageError(f"There is no robot file {shown_path(name)}.")
+        path = path.resolve()
+        changed = path.stat().st_mtime_ns, path.stat().st_size
+        model = _model(path, _fields(path, changed))
+        return _load(str(name), path, changed, (model.stat().st_mtime_ns, model.stat().st_size))
+    except OSError as error:
+        raise UsageError(f"Can't read the robot {shown_path(name)}: {error.strerror}.") from None
+
+
+_EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+_CURES = {
+    ".xacro": _EXPAND,
+    **dict.fromkeys((".urdf", ".xml"), " A model needs a .toml description beside it (docs: bson.robot)."),
+    ".dae": " A mesh is part of a model, an MJCF or URDF file, and that needs a .toml description (docs: bson.robot).",
+}
+
+
+def _model(path, fields):
+    """The model's file that the description in `path` names. Raises UsageError."""
+    model = path.parent / fields.model
+    where = f"robot {shown_path(path)}, key 'model'"
+    if model.suffix.lower() == ".xacro":
+        raise UsageError(f"{where}: MuJoCo can't read xacro, {shown_path(fields.model)}.{_EXPAND}")
+    if model.suffix.lower() not in (".xml", ".urdf"):
+        raise UsageError(f"{where}: it must be an MJCF (.xml) or URDF (.urdf) file, not {shown_path(fields.model)}.")
+    if "\0" in fields.model or not model.is_file():
+        raise UsageError(f"{where}: there is no model file {shown_path(model)}.")
+    try:
+        str(model).encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{where}: MuJoCo opens files with UTF-8 names only, not {shown_path(model)}.") from None
+    return model
 
 
 def robot_config(value):
@@ -332,104 +427,84 @@ def describe(config):
     return dataclasses.replace(load_robot(config.name), config=config)
 
 
-def _positive(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < math.inf
-
-
-def _triple(value):
-    return (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one) for one in value)
-    )
-
-
 @functools.lru_cache(16)
 def _fields(path, _changed):
-    """The content of a description, with all of its keys checked."""
-    with path.open("rb") as f:
-        try:
-            fields = tomllib.load(f)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path} is not TOML: {error}.") from None
-    mounts = fields.get("mounts", {})
-    if not isinstance(mounts, dict):
-        raise ValueError(f"{path}: mounts must be a table of places for sensors.")
-    tables = [("", fields), *((name, fields.get(name)) for name in ("drive", "footprint"))]
-    for name, table in [*tables, *(("mounts", mount) for mount in mounts.values())]:
-        needed, optional = (keys.split() for keys in _TABLES[name])
-        where = f"[{name}] has" if name else "a robot has"
-        if not isinstance(table, dict):
-            raise ValueError(f"{path}: {where} {', '.join(needed)}; this is missing or no table.")
-        if missing := [key for key in needed if key not in table]:
-            raise ValueError(f"{path}: missing '{missing[0]}': {where} {', '.join(needed)}.")
-        if unknown := sorted(set(table) - {*needed, *optional}):
-            raise ValueError(f"{path}: unknown key '{unknown[0]}': {where} {', '.join(needed + optional)}.")
-    _check_values(path, fields)
-    return fields
-
-
-def _check_values(path, fields):
-    """Raises ValueError for a value of a description that is outside its domain."""
-    drive, footprint = fields["drive"], fields["footprint"]
-    for key in ("model", "base"):
-        if not isinstance(fields[key], str):
-            raise ValueError(f"{path}: {key} must be a name, not {fields[key]!r}.")
-    if drive["kind"] not in DRIVES:
-        raise ValueError(f"{path}: drive.kind must be one of {', '.join(DRIVES)}, not {drive['kind']!r}.")
-    if drive["kind"] == "skid-steer" and "effective_track" not in drive:
-        raise ValueError(f"{path}: a skid-steered robot needs drive.effective_track, which its wheels' slip decides.")
-    for key in ("left", "right"):
-        if not (isinstance(drive[key], list) and drive[key] and all(isinstance(one, str) for one in drive[key])):
-            raise ValueError(f"{path}: drive.{key} must be a list of joints' names, not {drive[key]!r}.")
+    """The content of a description (_Description), checked."""
+    fields = read_document(path, _Description, "robot")
+    where, drive, footprint = f"robot {shown_path(path)}", fields.drive, fields.footprint
+    if drive.kind == "skid-steer" and drive.effective_track is None:
+        raise UsageError(f"{where}: a skid-steered robot needs drive.effective_track, which its wheels' slip decides.")
     for table, first, second in ((drive, "gain", "max_torque"), (footprint, "bottom", "top")):
-        if (first in table) != (second in table):
-            raise ValueError(f"{path}: give both of {first} and {second}, or neither.")
-    for key in ("gain", "max_torque"):
-        if key in drive and not _positive(drive[key]):
-            raise ValueError(f"{path}: drive.{key} must be a number above 0, not {drive[key]!r}.")
-    if "top" in footprint and not (
-        _positive(footprint["bottom"]) and _positive(footprint["top"]) and footprint["bottom"] < footprint["top"]
-    ):
-        raise ValueError(f"{path}: footprint.bottom and .top must be heights above 0 in rising order.")
-    for name, mount in fields.get("mounts", {}).items():
-        for key in ("position", "rpy"):
-            if not _triple(mount.get(key, [0, 0, 0])):
-                raise ValueError(f"{path}: mounts.{name}.{key} must be three numbers, not {mount[key]!r}.")
+        if (getattr(table, first) is None) != (getattr(table, second) is None):
+            raise UsageError(f"{where}: give both of {first} and {second}, or neither.")
+    if footprint.top is not None and not footprint.bottom < footprint.top:
+        raise UsageError(
+            f"{where}: footprint.bottom and .top must be heights above 0 in rising order, not {footprint.bottom:g} and "
+            f"{footprint.top:g}."
+        )
+    return fields
 
 
 @functools.lru_cache(16)
 def _load(name, path, changed, _model_changed):
     """The Robot of a description, checked by building it."""
     fields = _fields(path, changed)
-    drive, footprint, model = fields["drive"], fields["footprint"], path.parent / fields["model"]
+    drive, footprint, model = fields.drive, fields.footprint, path.parent / fields.model
     config = RobotConfig(
         name=name,
-        **{key: drive[key] for key in ("max_speed", "max_yaw_rate", "wheel_radius", "track")},
-        rolling_radius=drive.get("rolling_radius", drive["wheel_radius"]),
-        effective_track=drive.get("effective_track", drive["track"]),
-        half_length=footprint["half_length"],
-        half_width=footprint["half_width"],
-        spawn_height=fields["spawn_height"],
+        **{key: getattr(drive, key) for key in ("max_speed", "max_yaw_rate", "wheel_radius", "track")},
+        rolling_radius=drive.wheel_radius if drive.rolling_radius is None else drive.rolling_radius,
+        effective_track=drive.track if drive.effective_track is None else drive.effective_track,
+        half_length=footprint.half_length,
+        half_width=footprint.half_width,
+        spawn_height=fields.spawn_height,
     )
+    content = read_bytes(model, "robot model", _MODEL_BYTES)
     robot = Robot(
         config=config,
         model=model,
-        base=fields["base"],
-        left=tuple(drive["left"]),
-        right=tuple(drive["right"]),
-        motor=(drive["gain"], drive["max_torque"]) if "gain" in drive else None,
-        height=(footprint["bottom"], footprint["top"]) if "top" in footprint else None,
+        base=fields.base,
+        left=tuple(drive.left),
+        right=tuple(drive.right),
+        motor=None if drive.gain is None else (drive.gain, drive.max_torque),
+        height=None if footprint.top is None else (footprint.bottom, footprint.top),
         mounts=tuple(
-            (mount, tuple(place["position"]), _quaternion(place.get("rpy", [0, 0, 0])))
-            for mount, place in fields.get("mounts", {}).items()
+            (mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()
         ),
-        digest=hashlib.sha256(path.read_bytes() + model.read_bytes()).hexdigest()[:12],
+        digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
     try:
+        _refuse_odd_models(content)
         return dataclasses.replace(robot, forwards=_forwards(robot))
-    except ValueError as error:
-        raise ValueError(f"Robot '{name}': {' '.join(str(error).split())}") from None
+    except (ValueError, RecursionError) as error:
+        problem = " ".join(str(error).split()).encode("ascii", "backslashreplace").decode()[:600]
+        raise UsageError(f"Robot {shown_path(name)}: {problem}") from None
+
+
+def _refuse_odd_models(content):
+    """Raises ValueError for a model (bytes) that asks for what MuJoCo has no reader or no room for."""
+    if b"<xacro:" in content:
+        raise ValueError(f"the model has xacro's macros, which MuJoCo can't read.{_EXPAND}")
+    try:
+        tree = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError):  # MuJoCo tells it better
+        return
+    copies = 1.0
+    for element in tree.iter():
+        mesh = element.get("filename") or element.get("file") or ""
+        if mesh.lower().endswith(".dae"):
+            raise ValueError(
+                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and name "
+                "that in the model."
+            )
+        for key in ("width", "height", "nrow", "ncol", "count"):
+            for word in (element.get(key) or "").split()[:3]:
+                if word.isdigit() and int(word[:9]) > _MOST_COPIES:
+                    raise ValueError(f"<{element.tag} {key}=...> is at most {_MOST_COPIES}, not {shown(word)}.")
+                if word.isdigit() and key == "count":
+                    copies *= max(1, int(word))
+    if copies > 10 * _MOST_COPIES:
+        raise ValueError(f"the model repeats elements {copies:.3g} times; {10 * _MOST_COPIES} are possible.")
 
 
 def _quaternion(rpy):
@@ -442,9 +517,10 @@ def _quaternion(rpy):
 def _forwards(robot):
     """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that can't
     be built, or whose wheels are not left and right on axles across it."""
-    spec = mujoco.MjSpec()
+    spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()
+    _refuse_odd_bodies(model)
     data = mujoco.MjData(model)
     data.qpos[:7] = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
     mujoco.mj_kinematics(model, data)
@@ -460,6 +536,36 @@ def _forwards(robot):
             raise ValueError(f"wheel '{wheel}' is on the {'left' if left else 'right'}, y being left.")
         forwards.append(float(np.sign(across)))
     return tuple(forwards)
+
+
+def _refuse_odd_bodies(model):
+    """Raises ValueError for a robot alone in its world whose bodies, as MuJoCo has compiled them, no robot has."""
+    total = float(model.body_mass.sum())
+    if not _MASS[0] <= total <= _MASS[1]:
+        raise ValueError(f"its mass is {total:g} kg; it must be from {_MASS[0]:g} to {_MASS[1]:g} kg.")
+    for index in range(1, model.nbody):
+        body, mass = model.body(index).name.removeprefix("robot/"), model.body_mass[index]
+        if mass == 0:  # what it carries has some, or MuJoCo would have refused it
+            continue
+        gyration = np.sqrt(model.body_inertia[index] / mass)
+        if not ((gyration >= _GYRATION[0]) & (gyration <= _GYRATION[1])).all():
+            inertia = ", ".join(f"{one:.3g}" for one in model.body_inertia[index])
+            raise ValueError(
+                f"body '{body}' of {mass:.3g} kg has the inertia {inertia} kg m2; its radii of gyration must be from "
+                f"{_GYRATION[0]:g} to {_GYRATION[1]:g} m."
+            )
+        if not (np.abs(model.body_pos[index]) <= 10.0).all():
+            raise ValueError(f"body '{body}' is more than 10 m from what carries it.")
+    for index in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
+        body, radius = model.geom_bodyid[index], model.geom_rbound[index]
+        if body and not _SIZE[0] <= radius <= _SIZE[1]:
+            raise ValueError(
+                f"body '{model.body(body).name.removeprefix('robot/')}' touches with a shape of radius {radius:.3g} m; it must be "
+                f"from {_SIZE[0]:g} to {_SIZE[1]:g} m."
+            )
+    for what in ("dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "actuator_gainprm", "actuator_gear"):
+        if not (np.abs(getattr(model, what)) <= 1e6).all():
+            raise ValueError(f"its {what} must be numbers of at most 1e6, not {np.abs(getattr(model, what)).max():.3g}.")
 
 
 JACKAL = load_robot("jackal")

@@ -8,16 +8,59 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import tomllib
+import math
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from bson.robot import load_robot
-from bson.task import TaskConfig
+from bson.task import MAX_PEDESTRIANS, TaskConfig
 from macid import assets
+from macid.documents import convert, parse, read_bytes, shown, shown_path
+from macid.files import UsageError
 from macid.maps import load_map
 
 _SEED_STRIDE = 1_000_000  # between the episodes of --seed S and of --seed S + 1
+_MOST_CELLS = 1000
+
+_Share = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
+_Lcf = Annotated[float, Meta(ge=-10, le=10)]
+_Length = Annotated[float, Meta(gt=0, le=1e4, description="a number above 0 and of at most 10000 m")]
+_Period = Annotated[float, Meta(gt=0, le=10, description="a time above 0 and of at most 10 s")]
+_Weight = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_Text = Annotated[str, Meta(min_length=1, max_length=1000)]
+_Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}\Z", description="a name of letters, digits, -, _ and .")]
+
+
+class _Config(msgspec.Struct, forbid_unknown_fields=True):
+    """What a suite or a grade may say of a TaskConfig, which checks it further."""
+
+    num_pedestrians: Annotated[int, Meta(ge=0, le=MAX_PEDESTRIANS)] | None = None
+    pedestrian_density: _Share | None = None
+    obstacle_density: _Share = 0.0
+    pedestrian_model: _Text | Annotated[dict[_Text, Annotated[float, Meta(ge=0, le=1e6)]], Meta(min_length=1)] = "macid"
+    lcf: _Lcf | Annotated[list[_Lcf], Meta(min_length=2, max_length=2)] = 0.0
+    lcf_each: Annotated[list[_Lcf], Meta(max_length=MAX_PEDESTRIANS)] | None = None
+    map_size: _Length = 50.0
+    map: _Text | None = None
+    control_period: _Period = 0.1
+    pedestrian_period: _Period = 0.1
+    horizon: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    goal_distance: _Length | Annotated[list[_Length], Meta(min_length=2, max_length=2)] = 1.0
+    reward: dict[_Text, _Weight] = {}
+    robot: _Text | dict[_Text, str | float] = "jackal"
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    """The keys of a suite's file."""
+
+    name: _Name
+    description: _Text
+    seeds: Annotated[list[Annotated[int, Meta(ge=0, lt=_SEED_STRIDE)]], Meta(min_length=1, max_length=10_000)]
+    config: _Config = msgspec.field(default_factory=_Config)
+    axes: Annotated[dict[_Name, Annotated[dict[_Name, _Config], Meta(min_length=1)]], Meta(max_length=10)] = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,16 +138,35 @@ def suite_names():
 
 
 def load_suite(name):
-    """The suite `name`. Raises ValueError for an unknown name."""
+    """The suite `name`. Raises UsageError for an unknown name."""
     if name not in suite_names():
-        raise ValueError(f"Unknown suite '{name}'. Choose one of {', '.join(suite_names())}.")
-    fields = tomllib.loads(assets.path("suites", f"{name}.toml").read_text())
-    base = TaskConfig().replace(**fields["config"])
+        raise UsageError(f"Unknown suite {shown(name)}. Choose one of {', '.join(suite_names())}.")
+    return read_suite(assets.path("suites", f"{name}.toml"))
+
+
+def read_suite(file):
+    """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and `axes` (of
+    each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
+    called = f"suite {shown_path(file)}"
+    document = parse(file, "suite", read_bytes(file, "suite"))
+    checked = convert(document, _File, called)
+    if not checked.description.isprintable():
+        raise UsageError(f"{called}, key 'description': it must be printable text.")
+    if len(set(checked.seeds)) < len(checked.seeds):
+        raise UsageError(f"{called}, key 'seeds': no seed may stand twice.")
+    if (number := math.prod(map(len, checked.axes.values()))) > _MOST_CELLS:
+        raise UsageError(f"{called}, key 'axes': their grades make {number} cells; {_MOST_CELLS} are possible.")
     axes = [
-        [(axis, grade, changes) for grade, changes in grades.items()] for axis, grades in fields.get("axes", {}).items()
+        [(axis, grade, changes) for grade, changes in grades.items()] for axis, grades in document.get("axes", {}).items()
     ]
-    cells = []
-    for combination in itertools.product(*axes):
-        changes = {key: value for _, _, each in combination for key, value in each.items()}
-        cells.append(Cell(tuple((axis, grade) for axis, grade, _ in combination), base.replace(**changes)))
-    return Suite(fields["name"], fields["description"], tuple(cells), tuple(fields["seeds"]))
+    key = "config"
+    try:
+        base = TaskConfig().replace(**document.get("config", {}))
+        cells = []
+        for combination in itertools.product(*axes):
+            key = ", ".join(f"axes.{axis}.{grade}" for axis, grade, _ in combination) or key
+            changes = {key: value for _, _, each in combination for key, value in each.items()}
+            cells.append(Cell(tuple((axis, grade) for axis, grade, _ in combination), base.replace(**changes)))
+    except ValueError as error:
+        raise UsageError(f"{called}, key {shown(key)}: {error}") from None
+    return Suite(checked.name, checked.description, tuple(cells), tuple(checked.seeds))

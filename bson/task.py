@@ -72,6 +72,8 @@ class TaskConfig:
             if not unset and not (_is_number(value) and 0 <= value <= 1):
                 raise ValueError(f"{name} must be between 0 and 1, not {value!r}.")
         if not (_is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
+            if self.map is not None:
+                raise ValueError(f"Map '{self.map}' is {self.map_size:g} m wide; episodes need one of 10 to 500 m.")
             raise ValueError(f"map_size must be between 10 and 500 m, not {self.map_size!r}.")
         if not 1.0 <= self.goal_distance[0] <= self.goal_distance[1]:
             raise ValueError(
@@ -263,10 +265,19 @@ def _robot_ends(config, layout, rng):
     router = Router(layout, config.robot.radius) if config.map else None  # a maze is connected
     gap, regions = _GOAL_CLEARANCE, layout.regions
     for _ in range(50):  # a start in the middle of a small map has no goal far enough
-        start = layouts.sample_people(rng, layout, 1, gap=gap, region=regions.get("robot_start"))
+        start = layouts.sample_people(
+            rng, layout, 1, gap=gap, region=regions.get("robot_start"), who="The robot", region_name="robot_start"
+        )
         try:
             goal = layouts.sample_goals(
-                rng, layout, start, config.goal_distance, gap=gap, region=regions.get("robot_goal")
+                rng,
+                layout,
+                start,
+                config.goal_distance,
+                gap=gap,
+                region=regions.get("robot_goal"),
+                who="the robot",
+                region_name="robot_goal",
             )[0]
         except NoFreeSpace as error:
             failure = error
@@ -303,7 +314,13 @@ def _people_ends(config, layout, rng, robot, router):
         strips = np.stack([*middle.T, length / 2, beside, np.arctan2(along[:, 1], along[:, 0])], axis=-1)
         region = regions.get("people_start")
         people[who] = layouts.sample_people(
-            rng, layout, len(who), taken=taken, keep_off=_START_CLEARANCE, region=strips if region is None else region
+            rng,
+            layout,
+            len(who),
+            taken=taken,
+            keep_off=_START_CLEARANCE,
+            region=strips if region is None else region,
+            region_name=f"routes[{number}]" if region is None else "people_start",
         ).reshape(-1, 2)
         taken = np.concatenate([taken, people[who]])
         end = rng.integers(0, 2, len(who))

@@ -1,10 +1,30 @@
 """The `macid` command."""
 
-import argparse
 import pathlib
 import sys
 
-from macid.files import HelpFormatter, UsageError, output_folder, run_command, write_json
+from macid import start
+from macid.command import (
+    MOST_SEED,
+    MOST_SEEDS,
+    MOST_STEPS,
+    MOST_TRAINING_SEED,
+    MOST_WORLDS,
+    PERIOD,
+    Parser,
+    check_words,
+    name,
+)
+from macid.files import (
+    HelpFormatter,
+    UsageError,
+    check_file,
+    check_folder,
+    new_folder,
+    run_command,
+    start_mujoco,
+    write_json,
+)
 
 
 def _level(text):
@@ -19,10 +39,6 @@ def _evaluate(args):
     period = usual_period(args.pedestrian) if args.period is None else args.period
     for level in args.levels:
         load_level(level)
-    if args.episodes < 1:
-        raise UsageError(f"--episodes must be at least 1, not {args.episodes}.")
-    if args.seed < 0:
-        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
     if args.bins and args.lcf:
         raise UsageError("--bins has LCFs of its own: leave --lcf out.")
     if args.bins:
@@ -30,18 +46,16 @@ def _evaluate(args):
     else:
         ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
     configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = pathlib.Path(args.out)
-    if out.is_dir():
-        raise UsageError(f"--out '{out}' is a folder. Name a JSON file.")
-    output_folder(out.parent)
+    out = check_file(args.out)
     rows = []
     for level in args.levels:
         print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
         rows += [
             evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
         ]
+    with new_folder(out.parent):
+        write_json(out, rows)
     print(format_table(rows))
-    write_json(out, rows)
     print(f"Written to {out}")
     return 0
 
@@ -59,10 +73,7 @@ def _watch(args):
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    if path.is_dir():
-        raise UsageError(f"--out '{path}' is a folder. Name a file.")
-    if args.seed < 0:
-        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
+    check_file(path)
     if not 0 < args.seconds <= 600:
         raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
     if args.follow is not None and not 0 <= args.follow < people:
@@ -77,19 +88,20 @@ def _watch(args):
     config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
-    output_folder(path.parent)
     print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
+    start.cleaning_up()
     recording = watch.record(args.pedestrian, args.level, config, args.seed)
-    if path.suffix == ".png":
-        watch.still(recording, path, args.at, args.follow, args.scale)
-    else:
-        with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
+    with new_folder(path.parent):
+        if path.suffix == ".png":
+            watch.still(recording, path, args.at, args.follow, args.scale)
+        else:
+            with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
 
-            def progress(done, total):
-                bar.total = total
-                bar.update()
+                def progress(done, total):
+                    bar.total = total
+                    bar.update()
 
-            watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+                watch.film(recording, path, args.speed, args.follow, args.scale, progress)
     print(f"Written: {path}")
     return 0
 
@@ -97,12 +109,6 @@ def _watch(args):
 def _train(args):
     from macid.learning.train import preset, train
 
-    if args.seeds < 1:
-        raise UsageError(f"--seeds must be at least 1, not {args.seeds}.")
-    if args.seed < 0:
-        raise UsageError(f"--seed must be at least 0, not {args.seed}.")
-    if args.agent_steps is not None and not 1 <= args.agent_steps < 1e12:
-        raise UsageError(f"--agent-steps must be from 1 to 1e12, not {args.agent_steps}.")
     given = {
         "nworld": args.worlds,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
@@ -116,7 +122,7 @@ def _train(args):
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
-    out = output_folder(args.out)
+    out = check_folder(args.out)
     train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
     for seed in range(args.seed, args.seed + args.seeds):
         folder = out / f"{config.name}-{seed}"
@@ -130,30 +136,27 @@ def _bench(args):
 
     for level in args.levels:
         load_level(level)
-    if min(args.worlds) < 1 or not 0 < args.seconds < 1e6:
-        raise UsageError("--worlds must be at least 1 and --seconds above 0.")
     if args.out:
-        output_folder(pathlib.Path(args.out).parent)
-        if pathlib.Path(args.out).is_dir():
-            raise UsageError(f"--out '{args.out}' is a folder. Name a JSON file.")
+        check_file(args.out)
     rows = bench.run(
         args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
     )
     if args.out:
-        write_json(args.out, rows)
+        with new_folder(pathlib.Path(args.out).parent):
+            write_json(args.out, rows)
     return 0
 
 
 def parser():
     """The command's parser."""
-    root = argparse.ArgumentParser(prog="macid", description="Pedestrian crowds on MuJoCo.")
+    root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
     evaluate = commands.add_parser(
         "evaluate",
         help="a pedestrian model on the paper's levels (Table II)",
         formatter_class=HelpFormatter,
     )
-    evaluate.add_argument("--pedestrian", required=True, help="a rule, a shipped policy, or a policy file (.npz)")
+    evaluate.add_argument("--pedestrian", type=name, required=True, help="a rule, a shipped policy, or a policy file (.npz)")
     evaluate.add_argument(
         "--levels",
         type=_level,
@@ -161,65 +164,75 @@ def parser():
         default=[1, 2, 3, 4],
         help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation",
     )
-    evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
-    evaluate.add_argument("--seed", type=int, default=0)
-    evaluate.add_argument("--period", type=float, help="time between decisions [s] (default: the policy's own)")
+    evaluate.number("--episodes", int, 1, MOST_WORLDS, default=5, help="episodes a level")
+    evaluate.number("--seed", int, 0, MOST_SEED, default=0)
+    evaluate.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
     evaluate.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
     evaluate.add_argument("--engine", default="native", choices=["native", "mjx"])
-    evaluate.add_argument("--out", default="macid-evaluate.json", help="JSON file")
+    evaluate.add_argument("--out", type=name, default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
 
     watch = commands.add_parser("watch", help="film a crowd", formatter_class=HelpFormatter)
-    watch.add_argument("--pedestrian", default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
+    watch.add_argument("--pedestrian", type=name, default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
     watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
     watch.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
-    watch.add_argument("--seed", type=int, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
+    watch.number("--seed", int, 0, MOST_SEED, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
     watch.add_argument("--seconds", type=float, default=20.0, help="of the crowd's time")
-    watch.add_argument("--period", type=float, help="time between decisions [s] (default: the policy's own)")
+    watch.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
     watch.add_argument("--speed", type=int, default=1, choices=[1, 2, 4], help="how many times as fast a film plays")
     watch.add_argument(
         "--follow", type=int, default=None, help="whose eyes to look through (default: one with far to go)"
     )
     watch.add_argument("--at", type=float, default=None, help="of a .png: the time in seconds (default: halfway)")
     watch.add_argument("--scale", type=float, default=0.75, help="of the picture: 1 is 1500 x 760")
-    watch.add_argument("--out", default="crowd.webm", help="a .webm film, or a .png picture")
+    watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
-    train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
+    train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
-    train.add_argument("--seed", type=int, default=0, help="the first seed")
-    train.add_argument("--seeds", type=int, default=1, help="how many, at once")
-    train.add_argument("--worlds", type=int, help="crowds at once (default: 16; preset paper: 1)")
-    train.add_argument("--period", type=float, default=0.02, help="time between decisions [s]")
-    train.add_argument("--agent-steps", type=float, help="budget (default: 20e6; preset paper: the paper's 50e6)")
+    train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
+    train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, at once")
+    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset paper: 1)")
+    train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
+    train.number(
+        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset paper: the paper's 50e6)"
+    )
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"], help="hyperparameters")
-    train.add_argument("--out", default="runs", help="folder; each seed gets one in it")
+    train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)
     bench.add_argument("--engine", default="native", choices=["native", "mjx"])
     bench.add_argument("--levels", type=_level, nargs="+", default=[1, 2, 3, 4])
-    bench.add_argument("--worlds", type=int, nargs="+", default=[1, 4, 16, 64])
-    bench.add_argument("--seconds", type=float, default=3.0, help="a case")
+    bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", default=[1, 4, 16, 64])
+    bench.number("--seconds", float, 0.0, 1e6, above=True, default=3.0, help="a case")
     bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"])
-    bench.add_argument("--out", default=None, help="JSON file")
+    bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
     return root
 
 
 def main(argv=None):
-    """Entry point; returns the exit code."""
-    args = parser().parse_args(argv)
-    return run_command("macid", lambda: args.run(args))
+    """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
+    if argv is None:
+        return start.run("macid", start.macid_command)
+
+    def command():
+        check_words(argv)
+        args = parser().parse_args(argv)
+        start_mujoco()
+        return args.run(args)
+
+    return run_command("macid", command)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(start.macid())

@@ -97,15 +97,24 @@ class Crowd:
 
     def reset(self, rng) -> Episode:
         """A new episode in every world, drawn from the numpy Generator `rng`. Raises NoFreeSpace."""
-        number, shape = self.config.number, (self.nworld, self.config.number)
-        starts = np.stack([sample_people(rng, self.layout, number) for _ in range(self.nworld)])
+        return self.begin(*self.draw(rng, self.nworld, self.config.lcf))
+
+    def draw(self, rng, nworld, lcf):
+        """Starts and goals (nworld, K, 2) [m] and LCFs (nworld, K), these from the range `lcf`, drawn from the numpy
+        Generator `rng`. Raises NoFreeSpace."""
+        number = self.config.number
+        starts = np.stack([sample_people(rng, self.layout, number) for _ in range(nworld)])
         goals = np.stack([sample_goals(rng, self.layout, s, self.config.goal_distance) for s in starts])
-        towards = goals - starts
+        return starts, goals, rng.uniform(*lcf, (nworld, number))
+
+    def begin(self, starts, goals, lcf) -> Episode:
+        """The episodes of people who stand at `starts` and go to `goals`, (nworld, K, 2) [m], with the LCFs `lcf`."""
+        shape, towards = (self.nworld, self.config.number), goals - starts
         state = self._init(starts, np.arctan2(towards[..., 1], towards[..., 0]))
         return Episode(
             state,
             jnp.asarray(goals, jnp.float32),
-            jnp.asarray(rng.uniform(*self.config.lcf, shape), jnp.float32),
+            jnp.asarray(lcf, jnp.float32),
             jnp.ones(shape, bool),
             jnp.zeros(shape, jnp.int32),
             jnp.asarray(np.linalg.norm(towards, axis=-1), jnp.float32),
@@ -120,13 +129,18 @@ class Crowd:
         """`step`, and what it brought, with rewards by `weights` (a collision: any contact during the decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
-        first = before = self.engine.read(state)
-        for _ in range(self.config.substeps):
+        first = after = self.engine.read(state)
+
+        def substep(carried):
+            state, before, collisions, travelled = carried
             state = self.engine.step(state, command)
             after = self.engine.read(state)
             collisions = collisions + (after.contact & episode.walking)
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
-            before = after
+            return state, after, collisions, travelled
+
+        carried = physics.repeat(substep, (state, after, collisions, travelled), self.config.substeps)
+        state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)
         away = jnp.asarray(parking_place(np.arange(self.config.number)), jnp.float32)

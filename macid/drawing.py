@@ -11,14 +11,13 @@ import math
 import os
 import pathlib
 import platform
-import tempfile
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
 
-from macid.files import UsageError, write_bytes
+from macid.files import UsageError, named, new_file, write_bytes
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
 
 LCF_RANGE = (-2.0, 2.0)  # of the colour scale
@@ -447,26 +446,25 @@ def write_webm(path, pictures, number, fps, progress=None):
     browsers play; returns the path.
 
     progress(done, number) is called after each frame. The generator is closed in the end.
-    Raises OSError where `path` can't be written. All or nothing: no half file is left.
+    Raises OSError where `path` can't be written or the film can't be read back. All or nothing: no half file is left.
     """
     import cv2
 
     path = pathlib.Path(path)
     if path.suffix.lower() != ".webm":
-        raise ValueError(f"A film is a .webm file, not '{path.name}'.")
-    temporary = _temporary(path)
-    writer = cv2.VideoWriter()
-    try:
-        with contextlib.closing(pictures), ThreadPoolExecutor(1) as encoder:
+        raise ValueError(f"A film is a .webm file, not {named(path.name)}.")
+    with contextlib.closing(pictures), new_file(path, ".webm") as (_, temporary), _ascii_path(temporary) as file:
+        writer, done = cv2.VideoWriter(), 0
+        with ThreadPoolExecutor(1) as encoder, _no_warnings():
             try:
                 written = None
                 for done, picture in enumerate(pictures, start=1):
                     frame = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
                     if written is None:
                         with _silent_stderr():  # of FFmpeg's remark that WebM has no such tag: it needs none
-                            writer.open(temporary, cv2.VideoWriter_fourcc(*"VP80"), float(fps), frame.shape[1::-1])
+                            writer.open(file, cv2.VideoWriter_fourcc(*"VP80"), float(fps), frame.shape[1::-1])
                         if not writer.isOpened():
-                            raise OSError(f"OpenCV can't write VP8 video to '{path}'.")
+                            raise OSError("OpenCV can't write VP8 video there")
                     else:
                         written.result()
                     written = encoder.submit(writer.write, frame)  # while the next picture is drawn
@@ -474,14 +472,54 @@ def write_webm(path, pictures, number, fps, progress=None):
                         progress(done, number)
             finally:
                 encoder.shutdown()
-                writer.release()
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise
+                with _silent_stderr():
+                    writer.release()
+        _check_film(file, done)
     return path
+
+
+def _check_film(file, number):
+    """Raises OSError where not all `number` pictures of a film can be read back, or it does not tell its length."""
+    import cv2
+
+    with _silent_stderr():
+        video = cv2.VideoCapture(file, cv2.CAP_FFMPEG)
+        told, found = video.get(cv2.CAP_PROP_FRAME_COUNT), 0
+        while video.grab():
+            found += 1
+        video.release()
+    if found < number:
+        raise OSError(f"only {found} of its {number} pictures can be read back, as where a disk is full")
+    if told < number:  # it is in what FFmpeg writes last
+        raise OSError("its end is missing, as where a disk is full")
+
+
+@contextlib.contextmanager
+def _ascii_path(path):
+    """`path` as OpenCV takes it, which fails at names that are not UTF-8: by its folder's handle where need be."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            yield f"/proc/self/fd/{handle}/{path.name}"
+        finally:
+            os.close(handle)
+    else:
+        yield str(path)
+
+
+@contextlib.contextmanager
+def _no_warnings():
+    """Lets OpenCV not warn, at each picture that a full disk does not take: `_check_film` tells of it."""
+    import cv2
+
+    log = cv2.utils.logging
+    level = log.setLogLevel(log.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
 
 
 @contextlib.contextmanager
@@ -495,15 +533,3 @@ def _silent_stderr():
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
-
-
-def _temporary(path):
-    """An empty file beside `path`, to be renamed. Raises OSError where `path` can't be written."""
-    if path.is_dir():
-        raise IsADirectoryError(f"Can't write the film '{path}': it is a folder.")
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".webm")
-    except OSError as error:
-        raise type(error)(error.errno, f"Can't write the film '{path}': {error.strerror}") from None
-    os.close(handle)
-    return name

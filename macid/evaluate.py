@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from macid import metrics
-from macid.crowd import Crowd, CrowdConfig
-from macid.layout import LEVELS, VALIDATION_LEVELS, load_level
+from macid import metrics, physics
+from macid.crowd import Crowd, CrowdConfig, Episode
+from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
 from macid.state import PHYSICS_STEP
@@ -53,25 +53,10 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
     and `dw` [rad/s a second], the mean change of speed and of yaw rate between decisions, and `stalled` [%], the share of
     the time below 0.1 m/s; and their standard deviation over episodes.
 
-    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch.
+    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch. `faults`: the episodes
+    in which physics failed, and how; these are scored nowhere. Raises ValueError where no other is left.
     """
-    layout = load_level(level)
-    config = dataclasses.replace(config, number=layout.pedestrians)
-    crowd = Crowd(layout, config, nworld=episodes, engine=engine)
-    start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
-    end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
-    arrived, collisions = ~np.asarray(end.walking), np.asarray(end.collisions)
-    distance, travelled = np.asarray(end.distance), np.asarray(end.travelled)
-    each = {
-        "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
-        "CP": [metrics.collision_penalty(c) for c in collisions],
-        "PE": [metrics.path_efficiency(*row) for row in zip(arrived, distance, travelled, strict=True)],
-        "arrived": [100.0 * float(a.mean()) for a in arrived],
-        "dv": _per_second(end.sped, end.time),
-        "dw": _per_second(end.turned, end.time),
-        "stalled": 100.0 * _per_second(end.stalled, end.time),
-    }
-    curve = [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)]
+    layout, config, (end,), faults = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
     return {
         "pedestrian": pedestrian,
         "level": level,
@@ -80,10 +65,109 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
         "seed": seed,
         "engine": engine,
         "config": dataclasses.asdict(config),
-        "SR": curve,
+        **_measured(end),
+        "faults": faults,
+    }
+
+
+def _play(pedestrian, level, groups, seed, config, engine):
+    """The level's layout, the config with its number of people, the ended Episode of each of `groups`, of the worlds in
+    which physics did not fail, and its faults in the others: [{"episode", "what"}, ...], counted through all groups.
+
+    groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as many
+    episodes have the same starts and goals. All are worlds of one batch. Raises ValueError where a group has no sound world.
+    """
+    layout = load_level(level)
+    config = dataclasses.replace(config, number=layout.pedestrians)
+    crowd = Crowd(layout, config, nworld=sum(episodes for _, episodes in groups), engine=engine)
+    drawn = [crowd.draw(np.random.default_rng((seed, *level_seed(level))), n, lcf) for lcf, n in groups]
+    start = crowd.begin(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+    end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
+    whats = _faults(crowd, end)
+    end = end._replace(physics=None)._asdict()
+    last = np.cumsum([episodes for _, episodes in groups])
+    ends = []
+    for worlds in np.split(np.arange(crowd.nworld), last[:-1]):
+        sound = [world for world in worlds if not whats[world]]
+        if not sound:
+            raise ValueError(
+                f"There is nothing to score: physics failed in all episodes of '{pedestrian}' on {level_name(level)}. "
+                f"Episode {worlds[0]}: {whats[worlds[0]]}."
+            )
+        parts = {name: np.asarray(leaf)[sound] for name, leaf in end.items() if leaf is not None}
+        ends.append(Episode(physics=None, **parts))
+    return layout, config, ends, [{"episode": world, "what": what} for world, what in enumerate(whats) if what]
+
+
+def _faults(crowd, end):
+    """What of the physics failed in each world of a crowd whose Episode ended: "" where nothing did."""
+    mean_speed = np.asarray(end.travelled).max(axis=-1) / crowd.config.duration
+    return [
+        what or ("" if speed <= physics.DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
+        for what, speed in zip(crowd.engine.faults(end.physics), mean_speed, strict=True)
+    ]
+
+
+def _measured(end):
+    """The columns of `evaluate_level` of an ended Episode."""
+    arrived, collisions = ~end.walking, end.collisions
+    each = {
+        "SR10": [metrics.success_rate(a, c) for a, c in zip(arrived, collisions, strict=True)],
+        "CP": [metrics.collision_penalty(c) for c in collisions],
+        "PE": [metrics.path_efficiency(*row) for row in zip(arrived, end.distance, end.travelled, strict=True)],
+        "arrived": [100.0 * float(a.mean()) for a in arrived],
+        "dv": _per_second(end.sped, end.time),
+        "dw": _per_second(end.turned, end.time),
+        "stalled": 100.0 * _per_second(end.stalled, end.time),
+    }
+    return {
+        "SR": [metrics.success_rate(arrived, collisions, n) for n in range(1, TOLERATED + 1)],
         **{name: _over_episodes(np.mean, values) for name, values in each.items()},
         **{f"{name}_std": _over_episodes(np.std, values) for name, values in each.items()},
     }
+
+
+def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdConfig(), engine="native"):
+    """How a learned model's LCF works on one level: a dict of
+
+    - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in which
+      everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
+    - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: the mean collision steps of
+      those whose own LCF is of each section; `own_people`, how many these are; `own_CP_rank`.
+
+    `faults` are as `evaluate_level`'s. A rank correlation is None where it has no meaning (all equal). config's `number` and `lcf` are overridden. Starts
+    and goals are the same in every section. Raises ValueError for a model without LCFs.
+    """
+    sections = lcf_bins(pedestrian)
+    edges = [sections[0][0], *(high for _, high in sections)]
+    groups = [(section, episodes) for section in sections] + [((edges[0], edges[-1]), mixed)]
+    layout, config, ends, faults = _play(pedestrian, level, groups, seed, config, engine)
+    figures = [_measured(end) for end in ends[:-1]]
+    own, people = metrics.mean_by_section(ends[-1].lcf, ends[-1].collisions, edges)
+    found = {name: [row[name] for row in figures] for name in ("SR10", "CP")}
+    found["own_CP"] = [None if np.isnan(mean) else float(mean) for mean in own]
+    ranks = {f"{name}_rank": _rank_correlation(values) for name, values in found.items()}
+    return {
+        "pedestrian": pedestrian,
+        "level": level,
+        "people": layout.pedestrians,
+        "episodes": episodes,
+        "mixed": mixed,
+        "seed": seed,
+        "engine": engine,
+        "period": config.period,
+        "sections": sections,
+        **found,
+        "own_people": people.tolist(),
+        **ranks,
+        "faults": faults,
+    }
+
+
+def _rank_correlation(values):
+    """`metrics.rank_correlation`, None instead of NaN; a value of None has none."""
+    correlation = metrics.rank_correlation([np.nan if value is None else value for value in values])
+    return correlation if np.isfinite(correlation) else None
 
 
 def level_name(level):
@@ -93,7 +177,9 @@ def level_name(level):
 
 def level_seed(level):
     """What follows the seed in that of a level's episodes, so that no two levels share their draws: whole numbers."""
-    return (level,) if level in LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
+    if level in LEVELS:
+        return (level,)
+    return (OTHER_LEVELS.index(level), 0x7A2) if level in OTHER_LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)
 
 
 def _range(pair):
@@ -112,7 +198,7 @@ def _over_episodes(statistic, values):
 
 
 def format_table(rows):
-    """Rows of `evaluate_level` as Table II's columns, plain text."""
+    """Rows of `evaluate_level` as Table II's columns, plain text; below them the episodes that are not scored."""
 
     def cell(row, name):
         if row[name] is None:
@@ -130,4 +216,8 @@ def format_table(rows):
             f"{cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
             f"{cell(row, 'dv'):>14}{cell(row, 'dw'):>15}{cell(row, 'stalled'):>14}"
         )
+    for row in rows:
+        for fault in row.get("faults", ()):
+            where = f"{row['pedestrian']} on {level_name(row['level'])}"
+            lines.append(f"not scored, as physics failed: episode {fault['episode']} of {where}: {fault['what']}")
     return "\n".join(lines)

@@ -1,48 +1,280 @@
-"""Results on disk: written to a temporary name and renamed, so that nobody reads half a file; and command-line errors."""
+"""Results on disk: checked before the work begins, written to a temporary name and renamed, so that nobody reads half a
+file, in a folder that no other run has meanwhile; and command-line errors."""
 
 import argparse
+import contextlib
+import errno
+import fcntl
 import json
 import os
 import pathlib
 import platform
+import re
+import secrets
+import stat
 import sys
 import tempfile
 from importlib import metadata
+
+from macid import start
+
+_STEM = 100  # characters of a file's name that its temporary file has, too
+_LEFTOVER = re.compile(r"\.(?P<stem>.*)\.[a-z0-9_]{8}(\.webm)?", re.DOTALL)
+_ENDINGS = (".json", ".html", ".npz", ".npy", ".pkl", ".csv", ".webm", ".png", ".md")  # of what is written here
 
 
 class UsageError(ValueError):
     """A request that can't be met as it was made; the message says what is valid."""
 
 
-def output_folder(path):
-    """`path` as a writable folder, made if missing. Raises UsageError."""
-    folder = pathlib.Path(path)
+class WriteError(UsageError, OSError):
+    """A file or a folder that can't be written, as the disk is full or the folder gone; the message names it."""
+
+
+def named(path):
+    """`path` as a message has it: in quotes, without its middle where it is long."""
+    text = os.fsdecode(path)
+    return f"'{text}'" if len(text) <= 200 else f"'{text[:100]}...{text[-90:]}'"
+
+
+def _reason(error):
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+
+
+def _mode(path):
+    """The kind and the permissions of what `path` leads to, as `os.stat` has them; None where nothing is there."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        return os.stat(path).st_mode
+    except FileNotFoundError:
+        return None
+
+
+def _check_names(names, folder):
+    """Raises OSError where one of `names` is longer than the file system of `folder` has them, or is no name."""
+    most = os.pathconf(folder, "PC_NAME_MAX")
+    for name in names:
+        if len(os.fsencode(name)) > most:
+            raise OSError(errno.ENAMETOOLONG, f"a name in it has more than {most} bytes")
+
+
+def check_folder(path):
+    """`path` as a Path, if it is a folder that can be written to or could be made. Makes nothing. Raises UsageError."""
+    folder = there = pathlib.Path(path)
+    new = []  # names of folders that are to be made
+    try:
+        while (mode := _mode(there)) is None:
+            if there.is_symlink():
+                raise OSError(errno.ENOENT, f"the link {named(there)} leads nowhere")
+            new.append(there.name)
+            there = there.parent
+        if not stat.S_ISDIR(mode):
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        _check_names(new, there)
+        with tempfile.TemporaryFile(dir=there):
             pass
-    except OSError as error:
-        raise UsageError(f"Can't write to '{folder}': {error.strerror}. Name a folder that you can write to.") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UsageError(
+            f"Can't write to {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+        ) from None
     return folder
 
 
-def write_bytes(path, content):
-    """`content` to the file `path`, all or nothing."""
-    path = pathlib.Path(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+def output_folder(path):
+    """`path` as a writable folder, made if missing. Raises UsageError."""
+    folder = check_folder(path)
     try:
-        with os.fdopen(handle, "wb") as f:
-            f.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"Can't make the folder {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+        ) from None
+    return folder
+
+
+def _target(path):
+    """The file that writing `path` makes or replaces, links followed, and its permissions, None where it is new.
+
+    Raises OSError where that is no regular file or is protected.
+    """
+    target = pathlib.Path(os.path.realpath(path))
+    if (mode := _mode(path)) is None:
+        return target, None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "it is protected from writing")
+    return target, stat.S_IMODE(mode) & 0o777
+
+
+def check_file(path):
+    """`path` as a Path, if it is a regular file that can be replaced, or one that could be made, with its folder.
+
+    Links are followed. Makes nothing. Raises UsageError.
+    """
+    path = pathlib.Path(path)
+    try:
+        target, mode = _target(path)
+        if mode is None and path.is_symlink() and not target.parent.is_dir():
+            raise OSError(errno.ENOENT, "it is a link that leads nowhere")
+        for folder in {path.parent, target.parent}:
+            check_folder(folder)
+        _check_names([target.name], next(each for each in target.parents if each.is_dir()))
+    except UsageError:
         raise
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UsageError(f"Can't write {named(path)}: {_reason(error)}. Name another file.") from None
+    return path
+
+
+def _lock(handle):
+    """Whether an open file or folder could be locked for this process: None where there are no locks.
+
+    The lock goes with the last of the open handle's copies, at the latest with the process, however that ends.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # such as a network folder without locks
+        return None
+    return True
+
+
+def _stem(name):
+    """What the temporary files of the file `name` are called by: ASCII."""
+    return name.encode("ascii", "ignore").decode()[-_STEM:]
+
+
+def _temporary(target, ending):
+    """A new empty file beside `target`: its handle, locked, and its path."""
+    start.cleaning_up()
+    while True:
+        temporary = target.parent / f".{_stem(target.name)}.{secrets.token_hex(4)}{ending}"
+        try:
+            handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)  # the umask holds
+        except FileExistsError:
+            continue
+        if _lock(handle) is not False and os.fstat(handle).st_nlink:  # not swept away before it was locked
+            return handle, temporary
+        os.close(handle)
+
+
+def remove_leftovers(folder, name=None):
+    """Removes the temporary files that killed runs left in `folder`, where it is there; of the file `name` only, if given.
+
+    A run that still goes on has its own locked: they stay.
+    """
+    try:
+        entries = os.listdir(folder)
+    except OSError:  # not there, or not to be read: nothing that could be removed
+        return
+    for entry in entries:
+        match = _LEFTOVER.fullmatch(entry)
+        if not match or not (match["stem"].endswith(_ENDINGS) if name is None else match["stem"] == _stem(name)):
+            continue
+        path = pathlib.Path(folder, entry)
+        with contextlib.suppress(OSError):
+            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode) and _lock(handle):
+                    path.unlink()
+            finally:
+                os.close(handle)
+
+
+@contextlib.contextmanager
+def new_file(path, ending=""):
+    """A file to be filled in a `with`, by its handle or its path, that then becomes `path`, or goes where that fails.
+
+    ending: of its name meanwhile. A file that is replaced keeps its permissions, a link stays and its file is replaced.
+    Raises WriteError, which names `path`.
+    """
+    path = pathlib.Path(path)
+    try:
+        target, mode = _target(path)
+        remove_leftovers(target.parent, target.name)
+        handle, temporary = _temporary(target, ending)
+        try:
+            if mode is not None:
+                os.chmod(temporary, mode)
+            yield handle, temporary
+            os.replace(temporary, target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
+        finally:
+            os.close(handle)
+    except WriteError:
+        raise
+    except OSError as error:
+        gone = not os.path.isdir(os.path.dirname(os.path.realpath(path)))
+        reason = f"there is no folder {named(path.parent)}" if gone else _reason(error)
+        told = WriteError(f"Can't write {named(path)}: {reason}.")
+        told.errno = error.errno
+        raise told from None
+
+
+def write_bytes(path, content):
+    """`content` to the file `path`, all or nothing. Raises WriteError."""
+    with new_file(path) as (handle, _), open(handle, "wb", closefd=False) as f:
+        f.write(content)
 
 
 def write_json(path, content):
-    """`content` as JSON to the file `path`, all or nothing."""
+    """`content` as JSON to the file `path`, all or nothing. Raises WriteError."""
     write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+@contextlib.contextmanager
+def new_folder(path):
+    """`path` as a writable folder, made if missing; where what is done in the `with` fails and leaves it empty, it goes again.
+
+    Raises UsageError.
+    """
+    folder = check_folder(path)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    start.cleaning_up()
+    try:
+        yield output_folder(folder)
+    except BaseException:
+        with contextlib.suppress(OSError):  # not empty, or not made
+            for each in made:
+                each.rmdir()
+        raise
+
+
+@contextlib.contextmanager
+def lock_folder(path, files=(), alone=()):
+    """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
+
+    files: names of what will be written there, which are checked. What killed runs left half-written is removed. Where the
+    work fails and leaves nothing, or only new files of the names `alone`, such as a configuration, these and the folder go
+    again. A process that was killed locks nothing. Raises UsageError where another run has the folder or it can't be written.
+    """
+    for name in files:
+        check_file(pathlib.Path(path) / name)
+    with new_folder(path) as folder:
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            if _lock(handle) is False:
+                raise UsageError(
+                    f"Another run is at work in {named(folder)}. Wait until it ends, or use another folder."
+                )
+            remove_leftovers(folder)
+            before = set(os.listdir(folder))
+            try:
+                yield folder
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    if (new := set(os.listdir(folder)) - before) <= set(alone):
+                        for name in new:
+                            (folder / name).unlink()
+                raise
+        finally:
+            os.close(handle)
 
 
 def versions(*packages):
@@ -65,30 +297,125 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
         return super()._get_help_string(action)
 
 
+def one_line(text, most=4000):
+    """`text` as one line that every terminal can show, of at most `most` characters."""
+    text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def start_mujoco(draws=True):
+    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL then. Raises UsageError. A command that does
+    not draw goes on without OpenGL where the choice can't be had, or without MuJoCo where that isn't there."""
+    try:
+        import mujoco  # noqa: F401
+
+        return
+    except Exception as error:  # whatever its choice of OpenGL brings up
+        chosen, problem = os.environ.get("MUJOCO_GL", ""), error
+    if not draws:
+        os.environ["MUJOCO_GL"] = "disable"
+        with contextlib.suppress(ImportError):
+            import mujoco  # noqa: F401, F811
+
+            for module in [name for name in sys.modules if name.startswith("mujoco.")]:  # those of the failed import
+                parent, _, child = module.rpartition(".")
+                setattr(sys.modules[parent], child, sys.modules[module])
+        os.environ["MUJOCO_GL"] = chosen
+        return
+    mend = {
+        "": "Reinstall it: pip install 'mujoco>=3.17,<4'",
+        "egl": "Install EGL (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri), or unset MUJOCO_GL",
+    }.get(chosen.lower().strip(), "Unset it, or use egl")
+    raise UsageError(f"MuJoCo can't start with MUJOCO_GL='{chosen}' ({problem}). {mend}.")
+
+
+class _Stream:
+    """A standard stream that never stops the work: once it can't be written, as on a full disk or in a pipe that nobody reads,
+    what comes is dropped. What its encoding lacks is escaped.
+
+    problem: the first OSError.
+    """
+
+    def __init__(self, stream):
+        self._stream = open(os.devnull, "w") if stream is None else stream  # None: it was closed before Python began
+        self.problem = None
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+    def write(self, text):
+        try:
+            return self._stream.write(text)
+        except UnicodeEncodeError:
+            encoding = self._stream.encoding
+            return self.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        except OSError as error:
+            self._drop(error)
+            return len(text)
+
+    def flush(self):
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._drop(error)
+
+    def _drop(self, error):
+        """Sends what the stream still holds and what will come to nowhere."""
+        self.problem = self.problem or error
+        with contextlib.suppress(OSError, ValueError):  # it is no file
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
 def run_command(program, main):
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
-    With BSON_TRACEBACK set in the environment, errors are raised as they are.
+    What can't be printed stops nothing that is to be written; in the end that is code 2, or 1 and no word where nobody reads
+    any more, as after `head`. With BSON_TRACEBACK set in the environment, errors are raised as they are.
     """
-    try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # whatever its choice of GL brings up
-        chosen = os.environ.get("MUJOCO_GL", "")
-        print(
-            f"{program}: error: MuJoCo can't start with MUJOCO_GL='{chosen}' ({error}). Unset it, or use egl.",
-            file=sys.stderr,
-        )
-        return 2
+    output, errors, ended = _Stream(sys.stdout), _Stream(sys.stderr), None
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+        try:
+            code = _answer(program, main)
+        except SystemExit as end:  # of the parser, after its help
+            ended, code = end, end.code
+        output.flush()
+        errors.flush()
+        if not code and output.problem:
+            if isinstance(output.problem, BrokenPipeError):
+                return 1
+            print(f"{program}: error: Can't print: {_reason(output.problem)}.", file=errors)
+            return 2
+    if ended:
+        raise ended
+    return code
+
+
+def _answer(program, main):
+    """`main()`'s exit code, or that of its error, which is told."""
     try:
         return main()
-    except (ValueError, FileNotFoundError, FloatingPointError) as error:
+    except KeyboardInterrupt:
+        problem, code = "interrupted", start.INTERRUPTED
+    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
         if os.environ.get("BSON_TRACEBACK"):
             raise
-        print(f"{program}: error: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # whoever reads has had enough, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return 130
+        problem, code = f"error: {_told(error)}", 2
+    except BaseException:
+        if not start.interrupted():
+            raise
+        problem, code = "interrupted", start.INTERRUPTED
+    if start.interrupted():  # whatever came of it
+        problem, code = "interrupted", start.INTERRUPTED
+    print(f"{program}: {one_line(problem)}", file=sys.stderr)
+    return code
+
+
+def _told(error):
+    """What an error says, in a message."""
+    if isinstance(error, MemoryError):
+        return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: {named(error.filename)}." if error.filename else f"{error.strerror}."
+    return str(error)

@@ -4,12 +4,17 @@ The origin is the centre of the map. A layout is frozen; whatever is drawn comes
 """
 
 import dataclasses
+import functools
 import numbers
-import tomllib
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from macid import assets, geometry
+from macid.documents import read_document, shown_path
+from macid.files import UsageError
 from macid.state import RADIUS
 
 MAP_SIZE = 50.0  # side of the paper's maps [m]
@@ -20,9 +25,11 @@ GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
 REGIONS = ("robot_start", "robot_goal", "people_start", "people_goal")
 _BOX_ROW = ", ".join(geometry.BOX_COLUMNS)
 _TRIES = 300
+_LEAST_HALF = 1e-4  # of a box that MuJoCo can touch [m]
 
 LEVELS = (1, 2, 3, 4)
 VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: settings are chosen on these
+OTHER_LEVELS = ("big-boxes", "small-boxes", "foyer", "crossroads", "furnished", "crowded")  # maps of other kinds
 
 
 class NoFreeSpace(ValueError):
@@ -68,6 +75,10 @@ class Layout:
             points.flags.writeable = False
             routes.append(points)
         object.__setattr__(self, "routes", tuple(routes))
+        if routes:
+            from macid.routing import refuse_blocked_routes
+
+            refuse_blocked_routes(self)
 
     def _boxes(self, what, rows):
         """`rows` as an array (N, 5) of its own, checked."""
@@ -75,8 +86,10 @@ class Layout:
         if boxes.shape == (0,):
             boxes = boxes.reshape(0, len(geometry.BOX_COLUMNS))
         shaped = boxes.ndim == 2 and boxes.shape[1] == len(geometry.BOX_COLUMNS)
-        if not (shaped and np.isfinite(boxes).all() and (boxes[:, 2:4] > 0).all()):
-            raise ValueError(f"Layout '{self.name}': {what} must be finite rows {_BOX_ROW}, halves above 0.")
+        if not (shaped and np.isfinite(boxes).all() and (boxes[:, 2:4] >= _LEAST_HALF).all()):
+            raise ValueError(
+                f"Layout '{self.name}': {what} must be finite rows {_BOX_ROW}, halves above 0, of at least {_LEAST_HALF:g}."
+            )
         boxes.flags.writeable = False
         return boxes
 
@@ -101,17 +114,18 @@ def person_count(density, size):
     return round(density * MAX_PERSON_DENSITY * size**2)
 
 
-def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random"):
-    """`number` boxes of 1 to 4 m at any yaw, at least `passage` [m] from each other and from the walls.
+def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random", half=(0.5, 2.0)):
+    """`number` boxes at any yaw, at least `passage` [m] from each other and from the walls. half: the range of half a
+    box's sides [m].
 
     Raises NoFreeSpace when they don't fit.
     """
     boxes = outer_walls(size)
     for _ in range(number):
         for _ in range(_TRIES):
-            half = rng.uniform(0.5, 2.0, 2)
+            halves = rng.uniform(*half, 2)
             centre = rng.uniform(-size / 2, size / 2, 2)
-            box = np.array([*centre, *half, rng.uniform(-np.pi / 2, np.pi / 2)])
+            box = np.array([*centre, *halves, rng.uniform(-np.pi / 2, np.pi / 2)])
             if geometry.box_box_gap(box, boxes).min() >= passage:
                 boxes = np.concatenate([boxes, box[None]])
                 break
@@ -161,41 +175,56 @@ def max_maze_walls(size):
     return 2 * cells * (cells - 1) - (cells**2 - 1)
 
 
-_KEYS = {  # of a layout file: the types that each takes, in words
-    "name": ((str,), "a text"),
-    "size": ((int, float), "a number [m]"),
-    "obstacles": ((list,), f"a list of rows {_BOX_ROW}"),
-    "walls": ((list,), "a list of rows x0, y0, x1, y1"),
-    "regions": ((dict,), f"a table of {', '.join(REGIONS)}, each a list of rows {_BOX_ROW}"),
-    "routes": ((list,), "a list of routes, each a list of points (x, y)"),
-    "routed": ((bool,), "true or false"),
-    "pedestrians": ((int,), "a whole number"),
-}
+_Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
+_MOST_ROWS = 5000
+
+
+def _rows(*columns):
+    words = f"a list of rows {', '.join(columns)}, at most {_MOST_ROWS}, each number from -1e4 to 1e4"
+    return Annotated[list[list[_Coordinate]], Meta(max_length=_MOST_ROWS, description=words)]
+
+
+_Boxes = _rows(*geometry.BOX_COLUMNS)
+_Route = Annotated[list[list[_Coordinate]], Meta(max_length=200)]
+_Routes = Annotated[
+    list[_Route],
+    Meta(max_length=100, description="a list of routes, at most 100, each a list of points (x, y), at most 200"),
+]
+_Regions = Annotated[dict[str, _Boxes], Meta(description=f"a table of {', '.join(REGIONS)}, each a list of rows {_BOX_ROW}")]
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    """The keys of a layout file."""
+
+    size: Annotated[float, Meta(gt=0, le=1000, description="a number [m] above 0 and of at most 1000")]
+    name: Annotated[str, Meta(min_length=1, max_length=100, description="a text of 1 to 100 characters")] = "layout"
+    obstacles: _Boxes = []
+    walls: _rows("x0", "y0", "x1", "y1") = []
+    regions: _Regions = {}
+    routes: _Routes = []
+    routed: bool | None = None
+    pedestrians: Annotated[int, Meta(ge=0, le=2000, description="a whole number from 0 to 2000")] | None = None
 
 
 def load_layout(file):
     """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1 of
     walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
-    `name`, `routed` (default: whether there are walls), `pedestrians`. Raises ValueError, naming what is wrong."""
-    with open(file, "rb") as f:
-        try:
-            fields = tomllib.load(f)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{file} is not TOML: {error}.") from None
-    if unknown := set(fields) - set(_KEYS):
-        raise ValueError(f"{file}: unknown keys {sorted(unknown)}. A layout has {sorted(_KEYS)}.")
-    if "size" not in fields:
-        raise ValueError(f"{file}: missing 'size'.")
-    for key, value in fields.items():
-        types, form = _KEYS[key]
-        if type(value) not in types:
-            raise ValueError(f"{file}: {key} must be {form}, not {value!r}.")
-    walls = fields.pop("walls", [])
+    `name`, `routed` (default: whether there are walls), `pedestrians`. Raises UsageError, naming what is wrong."""
+    fields = read_document(file, _File, "map")
     try:
-        boxes = [*fields.pop("obstacles", []), *map(wall_box, walls)]
-        return Layout(obstacles=boxes, **{"routed": bool(walls), **fields})
+        if not fields.name.isprintable():
+            raise ValueError("name must be printable text")
+        return Layout(
+            fields.size,
+            [*fields.obstacles, *map(wall_box, fields.walls)],
+            routed=bool(fields.walls) if fields.routed is None else fields.routed,
+            pedestrians=fields.pedestrians,
+            name=fields.name,
+            regions=fields.regions,
+            routes=fields.routes,
+        )
     except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+        raise UsageError(f"map {shown_path(file)}: {error}") from None
 
 
 def wall_box(wall):
@@ -218,10 +247,14 @@ def _numbers(rows):
 
 
 def load_level(level):
-    """One of the paper's four levels, 1 to 4, frozen in assets/layouts: 25, 50, 100 or 200 people on 50 x 50 m; or one of
-    as many people on a map for validation, "v1" to "v4". Raises ValueError, naming the valid ones."""
-    if level not in LEVELS + VALIDATION_LEVELS:
-        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, LEVELS + VALIDATION_LEVELS))}.")
+    """A level, frozen in assets/layouts. Raises ValueError, naming the valid ones.
+
+    1 to 4: the paper's, 25, 50, 100 or 200 people on 50 x 50 m; "v1" to "v4": as many on maps for validation; a name of
+    OTHER_LEVELS: a map of another kind.
+    """
+    levels = LEVELS + VALIDATION_LEVELS + OTHER_LEVELS
+    if level not in levels:
+        raise ValueError(f"Unknown level {level!r}. Choose one of {', '.join(map(str, levels))}.")
     return load_layout(assets.path("layouts", f"lv{level}.toml" if level in LEVELS else f"{level}.toml"))
 
 
@@ -239,12 +272,52 @@ def _draw(rng, number, half, region):
     return box[:, :2] + geometry.rotate(rng.uniform(-1.0, 1.0, (number, 2)) * box[:, 2:4], box[:, 4])
 
 
-def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None, fits=None):
+def most_clearance(layout, region=None):
+    """The most that the centre of somebody on `layout` can be away from obstacles [m], in the boxes `region` (N, 5) if
+    given, to about a centimetre; 0 where there is no place."""
+    region = np.array([[0.0, 0.0, layout.size / 2, layout.size / 2, 0.0]]) if region is None else region
+    return _most_clearance(layout.size, layout.obstacles.tobytes(), region.tobytes())
+
+
+@functools.lru_cache(16)  # whoever looks for room asks again and again
+def _most_clearance(size, obstacles, region):
+    boxes = np.concatenate([outer_walls(size), np.frombuffer(obstacles).reshape(-1, 5)])
+    region = np.frombuffer(region).reshape(-1, 5)[:100]
+    best = 0.0
+    for x, y, half_x, half_y, yaw in region:
+        low, high = -np.array([half_x, half_y]), np.array([half_x, half_y])
+        for _ in range(5):  # around the best place so far, ever more closely
+            spans = [np.linspace(*ends, max(2, min(60, 2 + int(8 * (ends[1] - ends[0]))))) for ends in zip(low, high, strict=True)]
+            local = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2)
+            places = np.array([x, y]) + geometry.rotate(local, np.array(yaw))
+            parts = np.array_split(places, 1 + len(places) * len(boxes) // 1_000_000)
+            room = np.concatenate([clearance(part, boxes) for part in parts if len(part)])
+            room = np.where((np.abs(places) < size / 2).all(axis=-1), room, 0.0)
+            best = max(best, float(room.max()))
+            step = np.array([span[1] - span[0] for span in spans])
+            middle = local[room.argmax()]
+            low = np.maximum(middle - 2 * step, [-half_x, -half_y])
+            high = np.minimum(middle + 2 * step, [half_x, half_y])
+            if (high - low <= 0.01).any():
+                break
+    return best
+
+
+def _no_room(layout, region, name):
+    """Of whom no place was found in `region`, called `name` in messages: on which map they are."""
+    where = f"region {name} of " if region is not None and name else ""
+    return f"{where}map '{layout.name}' ({layout.size:g} x {layout.size:g} m, {len(layout.obstacles)} obstacles)"
+
+
+def sample_people(
+    rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None, fits=None, who="people", region_name="people_start"
+):
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
     which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). fits: tells of
-    places (M, 2) whether each will do, (M,) bool. Returns (number, 2) [m]. Raises NoFreeSpace.
+    places (M, 2) whether each will do, (M,) bool. who, region_name: how messages call them. Returns (number, 2) [m].
+    Raises NoFreeSpace.
     """
     boxes, half = layout.boxes, layout.size / 2 - RADIUS
     taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
@@ -266,17 +339,24 @@ def sample_people(rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=N
                 places = np.concatenate([places, candidate[None]])
     if len(places) == number:
         return places
-    raise NoFreeSpace(
-        f"Only {len(places)} of {number} people found room on map '{layout.name}' ({layout.size:g} x {layout.size:g} m, "
-        f"{len(layout.obstacles)} obstacles). Lower the pedestrian or obstacle density."
-    )
+    most = most_clearance(layout, region)
+    need = f"{RADIUS + gap:.2f} m between a centre and obstacles"
+    where = _no_room(layout, region, region_name)
+    found = f"Only {len(places)} of {number} {who} found room in" if number > 1 or who == "people" else f"{who} finds no room in"
+    if most < RADIUS + gap:
+        raise NoFreeSpace(f"{found} {where}: {need} is asked for, and the most there is is {most:.2f} m.")
+    cure = "Lower the pedestrian or obstacle density." if who == "people" else "Give it more room."
+    raise NoFreeSpace(f"{found} {where}: {need} is asked for, up to {most:.2f} m there is, but too little of that. {cure}")
 
 
-def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None, joins=None):
+def sample_goals(
+    rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None, joins=None, who="a person", region_name="people_goal"
+):
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
     region: boxes (M, 5) in which goals lie (default: anywhere). joins: tells of starts and goals (M, 2) whether there is
-    a way between each two, (M,) bool. Raises NoFreeSpace when the map has no such place.
+    a way between each two, (M,) bool. who, region_name: how messages call them. Raises NoFreeSpace when the map has no
+    such place.
     """
     starts = np.asarray(starts, dtype=float)
     boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap
@@ -301,7 +381,10 @@ def sample_goals(rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=No
         missing = missing[~good]
     if not len(missing):
         return goals
+    most = most_clearance(layout, region)
+    place = f"in region {region_name} " if region is not None and region_name else ""
     raise NoFreeSpace(
-        f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal that can be reached "
-        f"{distance[0]:g} to {distance[1]:g} m from {np.round(starts[missing[0]], 2).tolist()}."
+        f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal that can be reached {place}"
+        f"{distance[0]:g} to {distance[1]:g} m from {np.round(starts[missing[0]], 2).tolist()} by {who}: "
+        f"{RADIUS + gap:.2f} m between its centre and obstacles is asked for, and the most there is is {most:.2f} m."
     )

@@ -1,15 +1,35 @@
 """Maps from files: a layout's TOML, or an occupancy image with its resolution, as ROS's map_server keeps them."""
 
 import functools
+import math
 import pathlib
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from macid import assets
+from macid import assets, cover, geometry, occupancy
+from macid.documents import read_document, shown, shown_path
+from macid.files import UsageError
 from macid.layout import Layout, load_layout
 
-MAX_BOXES = 1500  # that an image may need
-_THRESHOLDS = {"occupied_thresh": 0.65, "free_thresh": 0.196}  # map_server's own
+MAX_BOXES = 1500  # of an image
+_SUFFIXES = (".toml", ".yaml", ".yml")
+_YAML_BYTES = 1 << 16
+_Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+
+
+class _Occupancy(msgspec.Struct):
+    """The keys of map_server's YAML that count here; it may have others. Defaults are map_server's."""
+
+    image: Annotated[str, Meta(min_length=1)]
+    resolution: Annotated[float, Meta(gt=0, le=100)]
+    origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 0.0)
+    negate: bool | Literal[0, 1] = 0
+    occupied_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.65
+    free_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.196
+    mode: str = "trinary"
 
 
 def map_names():
@@ -18,19 +38,34 @@ def map_names():
 
 
 def load_map(name):
-    """The Layout of a map: a name of `map_names()`, a layout's .toml file, or a map_server's .yaml file.
+    """The Layout of a map: a name of `map_names()`, a layout's .toml file, or a map_server's .yaml or .yml file.
 
-    Raises ValueError, naming the valid choices or what is wrong in the file.
+    Raises UsageError, naming the valid choices or what is wrong in the file.
     """
     path = pathlib.Path(name)
-    if path.suffix not in (".toml", ".yaml"):
+    if path.suffix not in _SUFFIXES:
         if name not in map_names():
-            raise ValueError(f"Unknown map '{name}'. Choose one of {', '.join(map_names())}, or a .toml or .yaml file.")
+            raise UsageError(
+                f"Unknown map {shown_path(name)}. Choose one of {', '.join(map_names())}, or a .toml, .yaml or .yml file."
+            )
         suffix = ".toml" if name in assets.names("maps", ".toml") else ".yaml"
         path = assets.path("maps", f"{name}{suffix}")
-    if not path.is_file():
-        raise ValueError(f"There is no map file '{name}'.")
-    return _read(path.resolve(), path.stat().st_mtime_ns)
+    try:
+        if not path.is_file():
+            raise UsageError(f"There is no map file {shown_path(name)}.")
+        path = path.resolve()
+        return _read(path, _changed(path))
+    except (OSError, UnicodeError) as error:
+        raise UsageError(f"Can't read the map {shown_path(name)}: {getattr(error, 'strerror', error)}.") from None
+
+
+def _changed(path):
+    """What changes with the content of the map `path` and of its image."""
+    found = [path.stat()]
+    if path.suffix != ".toml":
+        image = _image(path, _fields(path, found[0].st_mtime_ns, found[0].st_size))
+        found += [image.stat()] if image.is_file() else []
+    return tuple((each.st_mtime_ns, each.st_size) for each in found)
 
 
 @functools.lru_cache(16)
@@ -38,76 +73,116 @@ def _read(path, _changed):
     return load_layout(path) if path.suffix == ".toml" else load_occupancy(path)
 
 
+@functools.lru_cache(16)
+def _fields(path, _changed, _size):
+    return read_document(path, _Occupancy, "map", _YAML_BYTES)
+
+
+def _image(file, fields):
+    """The image's path: beside the YAML `file`, unless it is absolute."""
+    if "\0" in fields.image:
+        raise UsageError(f"map {shown_path(file)}, key 'image': it must be a file's name, not {shown(fields.image)}.")
+    return file.parent / fields.image
+
+
 def load_occupancy(file):
     """The Layout of an occupancy image described by the YAML `file`: image, resolution [m], and map_server's origin,
-    negate, occupied_thresh, free_thresh.
+    negate, occupied_thresh, free_thresh, mode.
 
-    Cells that are not free are solid; what is unknown counts as solid. The frame's origin is the image's centre; an
-    image that is no square is filled up. Raises ValueError, naming what is wrong.
+    Cells that are not free are solid; what is unknown counts as solid (macid.occupancy). The frame's origin is the
+    image's centre, about which the image is turned by the yaw of map_server's `origin`; what a square around it has more
+    is solid. Raises UsageError, naming what is wrong.
     """
-    import cv2
-    import yaml
-
     file = pathlib.Path(file)
+    fields = read_document(file, _Occupancy, "map", _YAML_BYTES)
+    mode = fields.mode.lower()
+    if mode not in occupancy.MODES:
+        raise UsageError(
+            f"map {shown_path(file)}, key 'mode': it must be one of {', '.join(occupancy.MODES)}, not {shown(fields.mode)}."
+        )
+    if not fields.free_thresh < fields.occupied_thresh:
+        raise UsageError(
+            f"map {shown_path(file)}, key 'free_thresh': it must be below occupied_thresh, {fields.occupied_thresh:g}, "
+            f"not {fields.free_thresh:g}."
+        )
+    image = _image(file, fields)
+    if not image.is_file():
+        raise UsageError(f"map {shown_path(file)}: can't read its image {shown_path(fields.image)}: no such file.")
     try:
-        fields = yaml.safe_load(file.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is not YAML: {' '.join(str(error).split())}.") from None
-    if not isinstance(fields, dict) or not {"image", "resolution"} <= set(fields):
-        raise ValueError(f"{file}: a map needs 'image' and 'resolution' [m].")
-    if fields.get("mode", "trinary") != "trinary":
-        raise ValueError(f"{file}: mode must be 'trinary', not {fields['mode']!r}.")
-    numbers = {"resolution": fields["resolution"], **{k: fields.get(k, v) for k, v in _THRESHOLDS.items()}}
-    for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
-            raise ValueError(f"{file}: {key} must be a number above 0, not {value!r}.")
-    if not numbers["free_thresh"] < numbers["occupied_thresh"] <= 1:
-        raise ValueError(f"{file}: free_thresh must be below occupied_thresh, and that at most 1.")
-    if fields.get("negate", 0) not in (0, 1):
-        raise ValueError(f"{file}: negate must be 0 or 1, not {fields['negate']!r}.")
-    origin = fields.get("origin", [0, 0, 0])
-    good = isinstance(origin, list) and len(origin) == 3 and all(isinstance(x, (int, float)) for x in origin)
-    if not good or not np.isfinite(origin).all() or origin[2] != 0:
-        raise ValueError(f"{file}: origin must be [x, y, 0] (a turned map is not supported), not {origin!r}.")
-    picture = cv2.imread(str(file.parent / str(fields["image"])), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise ValueError(f"{file}: can't read its image '{fields['image']}'.")
-    shade = picture.astype(float) / 255.0
-    occupancy = shade if fields.get("negate") else 1.0 - shade
-    solid = np.flipud(occupancy >= numbers["free_thresh"])  # row 0 is the lowest
-    return Layout(
-        numbers["resolution"] * max(solid.shape),
-        rectangles(solid, numbers["resolution"]),
-        routed=True,
-        name=file.stem,
-    )
+        solid = occupancy.solid_cells(image, mode, fields.negate, fields.free_thresh)
+        size, boxes = _boxes(solid, fields.resolution, fields.origin[2])
+        return Layout(size, boxes, routed=True, name=file.stem)
+    except ValueError as error:
+        raise UsageError(f"map {shown_path(file)}: {error}") from None
+
+
+def _boxes(solid, resolution, yaw):
+    """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their centre,
+    and boxes (B, 5) that cover them and what the square has more."""
+    if yaw == 0:
+        return resolution * max(solid.shape), rectangles(solid, resolution)
+    height, width = np.array(solid.shape) * resolution
+    ahead, aside = abs(math.cos(yaw)), abs(math.sin(yaw))
+    size = max(width * ahead + height * aside, width * aside + height * ahead)
+    inside = _cell_boxes(_rectangles(solid, resolution), solid.shape, resolution)
+    half = size / 2
+    square = geometry.rotate(np.array([[half, half], [-half, half], [-half, -half], [half, -half]]), np.array(-yaw))
+    around = []
+    for axis, sign, edge in ((0, 1, width / 2), (0, -1, width / 2), (1, 1, height / 2), (1, -1, height / 2)):
+        beyond = _clipped(square, axis, sign, edge)
+        if len(beyond):
+            low, high = beyond.min(axis=0), beyond.max(axis=0)
+            around.append([*(low + high) / 2, *(high - low) / 2, 0.0])
+    boxes = np.concatenate([np.reshape(around, (-1, 5)), inside])
+    boxes = boxes[(boxes[:, 2:4] > 1e-9).all(axis=-1)]
+    boxes[:, :2] = geometry.rotate(boxes[:, :2], np.array(yaw))
+    boxes[:, 4] = geometry.wrap_angle(yaw)
+    return size, boxes
+
+
+def _clipped(corners, axis, sign, edge):
+    """The part of the polygon `corners` (N, 2) where sign * coordinate[axis] > edge, as corners (M, 2)."""
+    above = sign * corners[:, axis] - edge
+    found = []
+    for one, other, a, b in zip(corners, np.roll(corners, -1, axis=0), above, np.roll(above, -1), strict=True):
+        if a > 0:
+            found.append(one)
+        if (a > 0) != (b > 0):
+            found.append(one + (other - one) * a / (a - b))
+    return np.reshape(found, (-1, 2))
 
 
 def rectangles(solid, resolution):
     """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and what a square around them has more.
 
-    The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Raises ValueError
-    for more than MAX_BOXES.
+    The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
+    more than MAX_BOXES, they are merged (macid.cover.merged), so that some free cells are covered, too. Raises
+    ValueError where that leaves no room.
     """
     rows, columns = solid.shape
     side = max(rows, columns)
     square = np.ones((side, side), bool)
     top, left = (side - rows) // 2, (side - columns) // 2
     square[top : top + rows, left : left + columns] = solid
-    edges = np.diff(np.pad(square.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    open_runs, found = {}, []
-    for row in range(side + 1):
-        runs = []
-        if row < side:
-            runs = list(zip(np.flatnonzero(edges[row] == 1), np.flatnonzero(edges[row] == -1), strict=True))
-        for run in [run for run in open_runs if run not in runs]:
-            found.append((*run, open_runs.pop(run), row))
-        for run in runs:
-            open_runs.setdefault(run, row)
-    if len(found) > MAX_BOXES:
+    return _cell_boxes(_rectangles(square, resolution), square.shape, resolution)
+
+
+def _rectangles(solid, resolution):
+    """Rows (x0, x1, y0, y1) of at most MAX_BOXES rectangles that cover the cells `solid`, in cells."""
+    found = cover.exact(solid)
+    if len(found) <= MAX_BOXES:
+        return found
+    merged = cover.merged(solid, resolution, MAX_BOXES)
+    if not cover.leaves_room(solid, merged):
         raise ValueError(
-            f"The image needs {len(found)} boxes, more than {MAX_BOXES}: smooth it or lower its resolution."
+            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave no room. "
+            "Smooth it, or lower its resolution."
         )
+    return merged
+
+
+def _cell_boxes(found, shape, resolution):
+    """Boxes (B, 5) [m] of rectangles in cells (macid.cover) of a grid of `shape` (rows, columns), from its centre."""
     x0, x1, y0, y1 = np.array(found, float).reshape(-1, 4).T * resolution
-    half = side * resolution / 2
-    return np.stack([(x0 + x1) / 2 - half, (y0 + y1) / 2 - half, (x1 - x0) / 2, (y1 - y0) / 2, 0 * x0], axis=-1)
+    half_y, half_x = np.array(shape) * resolution / 2
+    return np.stack([(x0 + x1) / 2 - half_x, (y0 + y1) / 2 - half_y, (x1 - x0) / 2, (y1 - y0) / 2, 0 * x0], axis=-1)

@@ -1,6 +1,7 @@
 """How well a crowd walks (paper, sec. IV-A): success rate, collision penalty, path efficiency. Pure functions on arrays."""
 
 import numpy as np
+from scipy.stats import rankdata
 
 
 def success_rate(arrived, collisions, tolerated=10):
@@ -26,3 +27,28 @@ def path_efficiency(arrived, distance, travelled):
         return float("nan")
     ratio = np.asarray(distance)[arrived] / np.maximum(np.asarray(travelled)[arrived], 1e-9)
     return 100.0 * float(np.mean(np.minimum(ratio, 1.0)))
+
+
+def rank_correlation(values):
+    """Spearman's rank correlation of `values` (N,) with their order, in [-1, 1]; equal values share their mean rank.
+
+    NaN where it has no meaning: for fewer than two values, equal values only, or one that is not finite.
+    """
+    values = np.asarray(values, float)
+    if len(values) < 2 or not np.isfinite(values).all() or (values == values[0]).all():
+        return float("nan")
+    return float(np.corrcoef(np.arange(len(values)), rankdata(values))[0, 1])
+
+
+def mean_by_section(sorted_by, values, edges):
+    """The mean of `values` in each section of `sorted_by`, both any shape, and the number in each: (N,) and (N,).
+
+    Section i is from edges[i] up to edges[i + 1]; the last one has its upper edge too. The mean of none is NaN.
+    """
+    edges = np.asarray(edges)
+    place = np.digitize(np.ravel(sorted_by), edges[1:-1])
+    within = (np.ravel(sorted_by) >= edges[0]) & (np.ravel(sorted_by) <= edges[-1])
+    sums, counts = (
+        np.bincount(place[within], weights, len(edges) - 1) for weights in (np.ravel(values)[within], None)
+    )
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan), counts

@@ -16,6 +16,18 @@ from macid import geometry
 from macid.state import CONTACT_GAP, RADIUS, CrowdState
 
 ENGINES = ("native", "mjx")
+DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
+_UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a loop's sums may differ in the last bit
+
+
+def repeat(step, carried, number):
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes no
+    longer to compile however many steps it has."""
+    if number > _UNROLLED:
+        return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
+    for _ in range(number):
+        carried = step(carried)
+    return carried
 
 
 def touching(position, boxes):
@@ -65,6 +77,23 @@ class _Engine:
         """The CrowdState, leading axes (nworld, K)."""
         return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
 
+    def faults(self, state):
+        """What of the physics failed in each world: "" where nothing did. `state`: the last one.
+
+        Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the model's
+        default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
+        """
+        speed = np.abs(np.asarray(state.qvel)).max(axis=-1, initial=0.0)
+        finite = np.isfinite(np.asarray(state.qpos)).all(axis=-1)
+        return [
+            warned or ("" if good and fast <= DIVERGED else f"somebody moves at {fast:.0f} m/s or rad/s")
+            for warned, good, fast in zip(self._warned(), finite, speed, strict=True)
+        ]
+
+    def _warned(self):
+        """What MuJoCo warned of in each world, in its words."""
+        return [""] * self.nworld
+
     def place(self, state, who, position):
         """The state with the people `who` (nworld, K) bool put at rest at `position` (nworld, K, 2) [m]."""
         shape = (self.nworld, self.number, 3)
@@ -112,6 +141,14 @@ class NativePhysics(_Engine):
         shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in state)
         ctrl = command.reshape(self.nworld, 3 * self.number)
         return NativeState(*jax.pure_callback(run, shapes, *state, ctrl, vmap_method="broadcast_all"))
+
+    def _warned(self):
+        told = []
+        for warnings in np.asarray(self._batch.warning):
+            number = int(warnings[:, 1].argmax())
+            what = mujoco.mju_warningText(number, int(warnings[number, 0])).split(". ")[0]
+            told.append(what if warnings[number, 1] else "")
+        return told
 
     def _replace(self, state, **fields):
         return state._replace(**fields)

@@ -7,20 +7,29 @@ same forward pass serves NumPy, JAX (both through the array API) and, exported, 
 import dataclasses
 import functools
 import io
-import json
 import math
 import pathlib
+import sys
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 
-from macid import assets, observation
-from macid.files import write_bytes, write_json
-from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE
+from macid import arrays, assets, observation
+from macid.documents import convert, parse, read_bytes
+from macid.files import UsageError, write_bytes, write_json
+from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
 
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
 FEATURES = observation.SIZE + 1  # the goal's two columns become three
+MOST_READING = 1e6  # of any number in an observation but a ray's distance [m, m/s, rad/s]
+MOST_WEIGHT = 1e6  # in a network, so that what it gives is finite
+MOST_LAYERS = 64
+MOST_POLICY_BYTES = 1 << 26  # of a policy's weights, packed and unpacked [bytes]
+MOST_RECIPE_BYTES = 1 << 24  # of its recipe [bytes]
 _GOAL_SCALE = math.log1p(24.0)
+_RAYS, _DISTANCES = slice(5, observation.SIZE), slice(5, observation.SIZE, 3)  # columns
 
 
 def features(observed):
@@ -35,7 +44,7 @@ def features(observed):
     rest = rest / xp.asarray([MAX_SPEED, MAX_YAW_RATE, 1.0], dtype=observed.dtype)
     rays = rays.reshape(*rays.shape[:-1], observation.RAYS, 3)
     closeness = 1.0 - rays[..., :1] / observation.RAY_RANGE
-    rays = xp.concatenate([closeness, rays[..., 1:] / MAX_SPEED], axis=-1).reshape(*rays.shape[:-2], -1)
+    rays = xp.concatenate([closeness, rays[..., 1:] / MAX_SPEED], axis=-1).reshape(*rays.shape[:-2], 3 * observation.RAYS)
     return xp.concatenate([goal / (distance + 1e-6), xp.log1p(distance) / _GOAL_SCALE, rest, rays], axis=-1)
 
 
@@ -74,27 +83,32 @@ def to_velocity(action):
 class Policy:
     """A trained policy: `policy(observation, lcf) -> (v, w)`.
 
-    layers: the network's weights and biases, float32 NumPy. recipe: how it was made and how it scores.
+    layers: the network's weights and biases, float32 NumPy. recipe: how it was made and how it scores. Raises ValueError
+    where the layers don't follow on each other, or hold a weight that is not finite or beyond MOST_WEIGHT.
+
+    What it is given is looked at (`understood` says how), so that nothing comes out that is not finite.
     """
 
     layers: tuple
     recipe: dict
 
+    def __post_init__(self):
+        check_layers(self.layers)
+
     def __call__(self, observed, lcf):
-        """(v, w) (..., 2) [m/s, rad/s] for observations (..., 41) and LCFs (...); NumPy or JAX, as the input is."""
+        """(v, w) (..., 2) [m/s, rad/s] for observations (..., 41) and LCFs (...); NumPy or JAX, as the input is.
+
+        Raises ValueError as `understood` does.
+        """
         return to_velocity(self.action(observed, lcf))
 
     def action(self, observed, lcf):
         """The same as actions (..., 2), unclipped, as `to_velocity` reads them."""
-        if not hasattr(observed, "__array_namespace__"):
-            observed = np.asarray(observed, np.float32)
-        xp = observed.__array_namespace__()
-        if observed.shape[-1] != observation.SIZE:
-            raise ValueError(
-                f"An observation has {observation.SIZE} columns (macid.observation), not {observed.shape[-1]}."
-            )
-        observed = xp.asarray(observed, dtype=np.float32)
-        lcf = xp.broadcast_to(xp.asarray(lcf, dtype=np.float32), observed.shape[:-1])
+        return self.act(*understood(observed, lcf))
+
+    def act(self, observed, lcf):
+        """`action` for float32 observations (..., 41) that `observe` made and LCFs (...) known to be right, unlooked at."""
+        lcf = observed.__array_namespace__().broadcast_to(lcf, observed.shape[:-1])
         return mlp(self.layers, inputs(self.see(observed), lcf))
 
     @property
@@ -104,18 +118,40 @@ class Policy:
 
     @property
     def period(self):
-        """Time between the decisions that it was trained with [s]."""
-        return self.recipe["period"]
+        """Time between the decisions that it was trained with [s]; a physics step where the recipe doesn't tell."""
+        return self.recipe.get("period", PHYSICS_STEP)
 
     def save(self, path):
         """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
         write_network(path, self.layers, self.recipe)
 
     def to_torch(self):
-        """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch."""
+        """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch.
+
+        It refuses what `understood` refuses, and reads the rest alike; where torch compiles, traces or maps it, nothing can
+        be refused, and it gives what comes out under jax.jit.
+        """
         import torch
 
         layers, goal_scale, scaled = self.layers, _GOAL_SCALE, self.see is features
+
+        def seen(tensor):
+            """A tensor's values as NumPy; None where it has none to look at."""
+            if torch.compiler.is_compiling() or torch.jit.is_tracing():
+                return None
+            try:
+                return tensor.detach().double().cpu().numpy()
+            except (RuntimeError, NotImplementedError):  # torch.func.vmap; the device "meta"
+                return None
+
+        def taken(values, what, like):
+            try:
+                tensor = values if isinstance(values, torch.Tensor) else torch.as_tensor(values)
+            except (ValueError, TypeError, RuntimeError) as error:
+                raise ValueError(f"{what} is no tensor of numbers: {' '.join(str(error).split())[:200]}") from None
+            if tensor.is_complex():
+                raise ValueError(f"{what} has real numbers, not {tensor.dtype}.")
+            return tensor.to(like)
 
         class TorchPolicy(torch.nn.Module):
             def __init__(self):
@@ -128,9 +164,23 @@ class Policy:
                     self.linear.append(linear)
 
             def forward(self, observed, lcf):
-                observed = torch.as_tensor(observed, dtype=self.linear[0].weight.dtype)
+                weight = self.linear[0].weight
+                observed, lcf = taken(observed, "An observation", weight), taken(lcf, "An LCF", weight)
+                if not torch.jit.is_tracing():  # which takes a shape for values
+                    _check_shapes(observed.shape, lcf.shape)
+                if (values := seen(observed)) is not None:
+                    _check_observed(values)
+                if (values := seen(lcf)) is not None:
+                    _check_lcf(values)
+                rays = observed[..., _RAYS].unflatten(-1, (observation.RAYS, 3))
+                distance, relative = rays[..., :1], rays[..., 1:].nan_to_num().clamp(-MOST_READING, MOST_READING)
+                met = distance < observation.RAY_RANGE
+                distance = torch.where(met, distance.clamp(min=0.0), observation.RAY_RANGE)
+                rays = torch.cat([distance, torch.where(met, relative, 0.0)], dim=-1).flatten(-2)
+                rest = observed[..., :5].nan_to_num().clamp(-MOST_READING, MOST_READING)
+                observed = torch.cat([rest, rays], dim=-1)
                 x = self.features(observed) if scaled else [observed]
-                lcf = torch.as_tensor(lcf, dtype=observed.dtype, device=observed.device) / MAX_LCF
+                lcf = lcf.nan_to_num().clamp(-MAX_LCF, MAX_LCF) / MAX_LCF
                 x = torch.cat([*x, lcf.expand(observed.shape[:-1])[..., None]], dim=-1)
                 for linear in self.linear[:-1]:
                     x = torch.tanh(linear(x))
@@ -148,6 +198,111 @@ class Policy:
         return TorchPolicy()
 
 
+def understood(observed, lcf):
+    """Observations (..., 41) and LCFs (...) as a policy takes them, float32 arrays, NumPy or JAX, as `observed` is.
+
+    observed, lcf: arrays, lists or numbers; flags and whole numbers count as numbers. A ray's distance of RAY_RANGE or more,
+    infinity included, reads as RAY_RANGE with no relative velocity, as `observe` has it. Everything else is taken as it is:
+    a speed or yaw rate beyond a person's own, a collision flag between 0 and 1, a goal where one stands.
+
+    Raises ValueError for what can't be understood: NaN, a negative distance, any other number that is infinite or beyond
+    MOST_READING, an LCF outside [-MAX_LCF, MAX_LCF], what is no number, a wrong shape.
+
+    Under jax.jit (and vmap, grad) only shapes and types can be refused. A number that isn't understood then counts as one
+    that is: an unknown distance as RAY_RANGE, a negative one as 0, another NaN as 0, and what lies outside its range as the
+    range's nearer end.
+    """
+    observed, lcf = _numbers(observed, "An observation"), _numbers(lcf, "An LCF")
+    _check_shapes(observed.shape, lcf.shape)
+    xp = (lcf if _is_traced(lcf) else observed).__array_namespace__()
+    if _is_traced(lcf):
+        lcf = _within(xp, lcf, -MAX_LCF, MAX_LCF)
+    else:
+        _check_lcf(np.asarray(lcf))
+    if _is_traced(observed):
+        least = xp.asarray([-MOST_READING] * 5 + [0.0, -MOST_READING, -MOST_READING] * observation.RAYS, dtype=np.float32)
+        known = observed[..., _DISTANCES] < observation.RAY_RANGE
+        observed = _within(xp, observed, least, MOST_READING)
+    else:
+        values = np.asarray(observed)
+        _check_observed(values)
+        known = values[..., _DISTANCES] < observation.RAY_RANGE
+        if known.all():
+            return xp.asarray(observed), xp.asarray(lcf)
+    rays = observed[..., _RAYS].reshape(*observed.shape[:-1], observation.RAYS, 3)
+    miss = xp.asarray([observation.RAY_RANGE, 0.0, 0.0], dtype=np.float32)
+    rays = xp.where(known[..., None], rays, miss).reshape(*observed.shape[:-1], 3 * observation.RAYS)
+    return xp.concatenate([observed[..., :5], rays], axis=-1), xp.asarray(lcf)
+
+
+def _within(xp, x, least, most):
+    """`x` in [least, most], NaN as 0."""
+    return xp.clip(xp.where(xp.isnan(x), xp.zeros_like(x), x), least, most)
+
+
+def _is_traced(x):
+    """Whether `x` stands for values that JAX doesn't have yet."""
+    jax = sys.modules.get("jax")
+    return jax is not None and isinstance(x, jax.core.Tracer)
+
+
+def _numbers(values, what):
+    """`values` as a float32 array, NumPy's or JAX's. Raises ValueError where they are no numbers."""
+    if not hasattr(values, "__array_namespace__"):
+        try:
+            values = np.asarray(values)
+        except (ValueError, TypeError, RuntimeError) as error:  # rows of different lengths; a tensor on a GPU
+            raise ValueError(f"{what} is no array of numbers: {' '.join(str(error).split())[:200]}") from None
+    xp = values.__array_namespace__()
+    if not xp.isdtype(values.dtype, ("bool", "integral", "real floating")):
+        raise ValueError(f"{what} has real numbers, not {'None' if values.dtype == object else values.dtype}.")
+    with np.errstate(over="ignore"):  # to infinity
+        return xp.asarray(values, dtype=np.float32)
+
+
+def _check_shapes(observed, lcf):
+    """Raises ValueError unless the shapes are those of observations (..., 41) and of LCFs that fit them."""
+    if not observed or observed[-1] != observation.SIZE:
+        given = observed[-1] if observed else "one number"
+        raise ValueError(f"An observation has {observation.SIZE} columns (macid.observation), not {given}.")
+    try:
+        fits = np.broadcast_shapes(lcf, observed[:-1]) == tuple(observed[:-1])
+    except ValueError:
+        fits = False
+    if not fits:
+        raise ValueError(f"Observations {tuple(observed)} take LCFs {tuple(observed[:-1])} or one for all, not {tuple(lcf)}.")
+
+
+def _check_observed(observed):
+    """Raises ValueError unless the NumPy observations (..., 41) can be understood; it names the column and the number."""
+    good = np.abs(observed) <= MOST_READING
+    good[..., _DISTANCES] = observed[..., _DISTANCES] >= 0.0
+    if good.all():
+        return
+    missed = np.repeat(observed[..., _DISTANCES] >= observation.RAY_RANGE, 3, axis=-1)
+    good[..., _RAYS] |= missed & np.isfinite(observed[..., _RAYS])  # what a miss says of a velocity is not read
+    if good.all():
+        return
+    place = tuple(int(i) for i in np.argwhere(~good)[0])
+    column, value = place[-1], observed[place]
+    name, wanted = "", f"a number from -{MOST_READING:g} to {MOST_READING:g}"
+    if column >= _RAYS.start:
+        ray, part = divmod(column - _RAYS.start, 3)
+        name = f"the {'relative velocity' if part else 'distance'} of ray {ray}"
+        wanted = wanted if part else f"0 or more (infinity: nothing within {observation.RAY_RANGE:g} m)"
+    else:
+        name = ("the goal's x", "the goal's y", "the speed", "the yaw rate", "the collision flag")[column]
+    where = f"column {column}, {name}" + (f", of observation {list(place[:-1])}" if place[:-1] else "")
+    raise ValueError(f"An observation can't be understood: {where}, is {value:g}; {wanted} is wanted.")
+
+
+def _check_lcf(lcf):
+    """Raises ValueError unless all of the NumPy array are LCFs."""
+    good = np.abs(lcf) <= MAX_LCF
+    if not good.all():
+        raise ValueError(f"An LCF is a number from -{MAX_LCF:g} to {MAX_LCF:g}, not {lcf[~good].flat[0]:g}.")
+
+
 def policy_names():
     """Names of the shipped policies: `macid-0` is method macid's seed 0; `macid` alone means its first seed."""
     return assets.names("policies", ".npz")
@@ -162,47 +317,100 @@ def load_policy(name):
         if not matching:
             raise ValueError(f"Unknown policy '{name}'. Choose one of {', '.join(shipped) or 'none'}, or a .npz file.")
         path = assets.path("policies", f"{matching[0]}.npz")
-    elif not path.is_file():
-        raise ValueError(f"There is no policy file '{name}'.")
-    return _read(path.resolve(), path.stat().st_mtime_ns)
+    return _made(path, *_contents(path))
 
 
 @functools.lru_cache(64)
-def _read(path, _changed):
-    """One Policy a file, so that what was compiled for it serves again."""
-    policy = Policy(*read_network(path))
-    seen = policy.recipe.get("inputs", "features")
-    if seen not in INPUTS:
-        raise ValueError(f"'{path}': its json has \"inputs\" {seen!r}, which is none of {', '.join(INPUTS)}.")
-    wanted, given = INPUTS[seen][1] + 1, policy.layers[0][0].shape[0]
-    if given != wanted:
-        raise ValueError(f"'{path}' is no pedestrians' policy: it takes {given} numbers, not {wanted}.")
-    for array in (array for layer in policy.layers for array in layer):
+def _made(path, weights, recipe):
+    """One Policy for the same content (bytes) of its two files, so that what was compiled for it serves again."""
+    layers, document = _parsed(path, weights, recipe)
+    seen = document.get("inputs", "features")
+    # A robot's policy is told by its size before its recipe is looked at.
+    wanted = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
+    for given, wanted, does in ((layers[0][0].shape[0], wanted, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
+        if given != wanted:
+            raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {given} numbers, not {wanted}.")
+    convert(document, _Recipe, f"the recipe '{path.with_suffix('.json')}'")
+    if "period" in document:
+        try:
+            physics_steps(document["period"])
+        except ValueError as error:
+            raise UsageError(f"The recipe '{path.with_suffix('.json')}': {error}") from None
+    for array in (array for layer in layers for array in layer):
         array.flags.writeable = False
-    return policy
+    return Policy(layers, document)
+
+
+class _Recipe(msgspec.Struct):
+    """What is read of the recipe of a pedestrians' policy. What else there is was noted for people."""
+
+    name: str | msgspec.UnsetType = msgspec.UNSET
+    method: str | msgspec.UnsetType = msgspec.UNSET
+    seed: int | msgspec.UnsetType = msgspec.UNSET
+    inputs: Literal[tuple(INPUTS)] | msgspec.UnsetType = msgspec.UNSET
+    period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
+    lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
+    lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
+
+
+def check_layers(layers):
+    """Raises ValueError unless `layers`, [(weight (in, out), bias (out,)), ...], follow on each other, finite."""
+    if not 1 <= len(layers) <= MOST_LAYERS:
+        raise ValueError(f"a network has 1 to {MOST_LAYERS} layers, not {len(layers)}")
+    width = None
+    for number, layer in enumerate(layers):
+        weight, bias = (np.asarray(array) for array in layer)
+        if weight.ndim != 2 or bias.shape != weight.shape[1:] or not weight.size:
+            raise ValueError(
+                f"layer {number} has a weight {weight.shape} and a bias {bias.shape}, not (in, out) and (out,)"
+            )
+        if width not in (None, weight.shape[0]):
+            raise ValueError(f"layer {number} takes {weight.shape[0]} numbers, but the one before gives {width}")
+        for name, array in (("weight", weight), ("bias", bias)):
+            if array.dtype.kind != "f":
+                raise ValueError(f"{name}{number} has numbers of type {array.dtype}, not floats")
+            if not (np.abs(array) <= MOST_WEIGHT).all():
+                worst = array[~(np.abs(array) <= MOST_WEIGHT)].flat[0]
+                raise ValueError(f"{name}{number} holds {worst:g}; weights are finite, from -{MOST_WEIGHT:g} to {MOST_WEIGHT:g}")
+        width = weight.shape[1]
 
 
 def write_network(path, layers, recipe):
     """Writes `path`.npz (weights and biases of `layers`) and `path`.json (`recipe`), each all or nothing."""
     path = pathlib.Path(path)
-    arrays = {}
+    found = {}
     for index, (weight, bias) in enumerate(layers):
-        arrays[f"weight{index}"], arrays[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
+        found[f"weight{index}"], found[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    np.savez_compressed(buffer, **found)
     write_json(path.with_suffix(".json"), recipe)  # first: weights are never without their recipe
     write_bytes(path.with_suffix(".npz"), buffer.getvalue())
 
 
 def read_network(path):
-    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises ValueError for what is none."""
+    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is none."""
     path = pathlib.Path(path)
-    if not path.is_file():
-        raise ValueError(f"There is no policy file '{path}'.")
+    return _parsed(path, *_contents(path))
+
+
+def _contents(path):
+    """The bytes of a policy's two files. Raises UsageError."""
+    weights = read_bytes(path, "policy", MOST_POLICY_BYTES)
+    return weights, read_bytes(path.with_suffix(".json"), "policy's recipe", MOST_RECIPE_BYTES)
+
+
+def _parsed(path, weights, recipe):
+    """(layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            count = max(1, len(arrays.files) // 2)
-            layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(count))
-        return layers, json.loads(path.with_suffix(".json").read_text())
-    except (OSError, KeyError, ValueError) as error:
-        raise ValueError(f"'{path}' is not a policy (npz with its json beside it): {error}") from None
+        found, documents = arrays.unpack(io.BytesIO(weights), MOST_POLICY_BYTES)
+        count = max(1, len(found) // 2)
+        wanted = [f"{kind}{number}" for number in range(count) for kind in ("weight", "bias")]
+        if documents or found.keys() != set(wanted):
+            odd = sorted({*found, *documents} - set(wanted)) or sorted(set(wanted) - found.keys())
+            raise ValueError(f"it holds weight0, bias0, weight1 and so on, and nothing else: {odd[0][:60]!r} is odd or missing")
+        layers = tuple((found[f"weight{number}"], found[f"bias{number}"]) for number in range(count))
+        check_layers(layers)
+    except ValueError as error:
+        raise UsageError(f"'{path}' is not a policy (npz with its json beside it): {error}.") from None
+    document = parse(path.with_suffix(".json"), "the policy's recipe", recipe)
+    return layers, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")

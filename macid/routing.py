@@ -23,7 +23,8 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
     axis = (np.arange(cells) + 0.5) * resolution - layout.size / 2
     occupied = np.zeros((cells, cells), dtype=bool)
     for box in layout.boxes:
-        reach = np.hypot(*box[2:4]) + radius + resolution  # no need to look beyond
+        ahead, aside = np.abs(np.cos(box[4])), np.abs(np.sin(box[4]))
+        reach = np.array([aside * box[2] + ahead * box[3], ahead * box[2] + aside * box[3]]) + radius + resolution  # y, x
         (i, j), (to_i, to_j) = np.searchsorted(axis, [box[1::-1] - reach, box[1::-1] + reach])
         centres = np.stack(np.meshgrid(axis[j:to_j], axis[i:to_i]), axis=-1)
         occupied[i:to_i, j:to_j] |= geometry.point_box_distance(centres, box[None])[..., 0] <= radius
@@ -43,6 +44,55 @@ def lines_are_free(start, goals, boxes, radius=RADIUS):
     grown[:, 2:4] += np.clip(beyond - 1e-9, 0.0, radius)[:, None]
     distance = geometry.ray_box_distance(start, step / length[:, None], grown)
     return (distance >= length[:, None]).all(axis=-1)
+
+
+def refuse_blocked_routes(layout):
+    """Raises NoFreeSpace for a route of `layout` whose points leave no room for a person, or between which none can go."""
+    for number, route in enumerate(layout.routes):
+        room = geometry.point_box_distance(route, layout.boxes).min(axis=-1)
+        if (room < RADIUS - 1e-9).any():
+            point = int(np.argmin(room))
+            raise NoFreeSpace(
+                f"Layout '{layout.name}': routes[{number}][{point}], {np.round(route[point], 2).tolist()}, is "
+                f"{room[point]:.2f} m from a box or wall, but a person needs {RADIUS} m."
+            )
+    router = Router(layout) if layout.routed else None
+    parts, resolution = _parts(layout)
+    for number, route in enumerate(layout.routes):
+        column, row = np.minimum((route + layout.size / 2) // resolution, len(parts) - 1).astype(int).T
+        part = parts[row, column]
+        joined = part[1:] == part[:-1]
+        if router is not None and joined.all():
+            joined = router.joins(route[:-1], route[1:])
+        if not joined.all():
+            first = int(np.argmin(joined))
+            start, end = np.round(route[first : first + 2], 2).tolist()
+            raise NoFreeSpace(
+                f"Layout '{layout.name}': routes[{number}] has no way for a person, of radius {RADIUS} m, from {start} to "
+                f"{end}."
+            )
+
+
+def _parts(layout):
+    """The connected parts of a layout for persons: a number for each cell (rows, columns), and the cells' side [m].
+
+    Boxes grow by a little less than RADIUS, so that every cell with a point where a person has room is free.
+    """
+    import cv2
+
+    resolution = max(0.05, layout.size / 4000)
+    cells = max(1, int(np.ceil(layout.size / resolution)))
+    free = np.ones((cells, cells), np.uint8)
+    grown, shift = max(RADIUS - 2 * resolution, 0.0), 8
+    for side in ((grown, 0.0), (0.0, grown)):
+        boxes = layout.boxes + np.array([0.0, 0.0, *side, 0.0])
+        corners = (geometry.box_corners(boxes) + layout.size / 2) / resolution - 0.5
+        for polygon in np.rint(np.clip(corners, -1e6, 1e6) * (1 << shift)).astype(np.int32):
+            cv2.fillConvexPoly(free, polygon, 0, lineType=cv2.LINE_8, shift=shift)
+    centres = (geometry.box_corners(layout.boxes) + layout.size / 2) / resolution - 0.5
+    for centre in np.rint(np.clip(centres.reshape(-1, 2), -1e6, 1e6) * (1 << shift)).astype(np.int32):
+        cv2.circle(free, centre.tolist(), int(grown / resolution * (1 << shift)), 0, -1, shift=shift)
+    return cv2.connectedComponents(free, connectivity=8)[1], resolution
 
 
 class Router:

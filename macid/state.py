@@ -17,7 +17,7 @@ PHYSICS_STEP = 0.02  # [s]
 
 def physics_steps(period):
     """How many physics steps a `period` [s] between decisions is. Raises ValueError unless it is a multiple of one."""
-    steps = round(period / PHYSICS_STEP) if np.isfinite(period) else 0
+    steps = round(period / PHYSICS_STEP) if np.isfinite(period / PHYSICS_STEP) else 0
     if steps < 1 or abs(steps * PHYSICS_STEP - period) > 1e-9:
         raise ValueError(f"period must be a multiple of the physics step {PHYSICS_STEP} s, not {period}.")
     return steps

@@ -17,10 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words, name
 from macid.crowd import CrowdConfig
-from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, table_lcf, usual_period
+from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
-from macid.layout import LEVELS, load_level
+from macid.layout import LEVELS, OTHER_LEVELS, load_level
 from macid.learning.curves import completed, plain
 from macid.learning.methods import METHODS
 from macid.learning.train import TrainConfig, preset, train
@@ -34,7 +35,9 @@ BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
 AS_GIVEN = ("ipo", "macid")  # in the preset `paper`
-RULES = ("social-force", "social-force-bodies", "orca")
+KNOB_PEOPLE = 100  # people in all episodes of a section together, on every map, where a policy's knob is measured
+MIXED = 2  # times as many episodes of mixed crowds, whose people are of all sections
+RULES = ("social-force", "social-force-progress", "social-force-bodies", "orca")
 
 # The paper's tables: SR10, CP, PE on Lv.1, Lv.2, Lv.3, Lv.4.
 PAPER_TABLE_2 = {
@@ -107,23 +110,38 @@ def train_missing(configs, found, folder):
 
 def evaluated(rows, file, level, lcf, episodes):
     """A row of `evaluate_level`, from the folder `rows` if it is there; `file`: a policy's or a rule's name."""
+    config = CrowdConfig(period=usual_period(str(file)), lcf=lcf)
+
+    def play():
+        print(f"{file} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
+        return evaluate_level(str(file), level, episodes, config=config)
+
+    return kept(rows, file, level, [plain(config), episodes], play)
+
+
+def knob(rows, file, level):
+    """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
+    config = CrowdConfig(period=usual_period(str(file)))
+    episodes = max(1, round(KNOB_PEOPLE / load_level(level).pedestrians))
+
+    def play():
+        print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
+        return measure_knob(str(file), level, episodes, MIXED * episodes, config=config)
+
+    return kept(rows, file, level, ["knob", plain(config), episodes, MIXED], play)
+
+
+def kept(rows, file, level, settings, play):
+    """What `play` gives, from the folder `rows` if it was played before by the same model, map, `settings` and MuJoCo."""
     pedestrian = str(file)
-    config = CrowdConfig(period=usual_period(pedestrian), lcf=lcf)
     content = pathlib.Path(pedestrian).read_bytes() if pedestrian.endswith(".npz") else pedestrian.encode()
     layout = load_level(level)
-    follows_from = [
-        layout.obstacles.tolist(),
-        layout.pedestrians,
-        plain(config),
-        episodes,
-        versions("mujoco")["mujoco"],
-    ]
+    follows_from = [layout.obstacles.tolist(), layout.pedestrians, *settings, versions("mujoco")["mujoco"]]
     key = hashlib.sha256(content + json.dumps(follows_from).encode()).hexdigest()[:16]
     path = rows / f"{pathlib.Path(pedestrian).stem}-lv{level}-{key}.json"
     if path.exists():
         return json.loads(path.read_text())
-    print(f"{pedestrian} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
-    row = evaluate_level(pedestrian, level, episodes, config=config)
+    row = play()
     write_json(path, row)
     return row
 
@@ -189,11 +207,9 @@ def plot(curves, path):
 
 def run(args):
     """Makes the tables; returns the exit code."""
+    configs = wanted(args.agent_steps, args.seeds)
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
-    if (args.seeds is not None and args.seeds < 1) or args.episodes < 1 or not 1 <= args.agent_steps < 1e12:
-        raise UsageError("--seeds, --episodes and --agent-steps must be at least 1.")
-    configs = wanted(args.agent_steps, args.seeds)
     if not args.no_train:
         train_missing(configs, find_policies(configs, args.policies, runs), runs)
     policies = {
@@ -270,23 +286,29 @@ def run(args):
 
 def main():
     """Entry point."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policies", default="assets/policies", help="folder with .npz and .json files")
-    parser.add_argument(
-        "--seeds", type=int, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policies", type=name, default="assets/policies", help="folder with .npz and .json files")
+    parser.number(
+        "--seeds", int, 1, MOST_SEEDS, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
     )
-    parser.add_argument(
+    parser.number(
         "--agent-steps",
-        type=float,
+        float,
+        1.0,
+        MOST_STEPS,
         default=BUDGET,
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
-    parser.add_argument("--episodes", type=int, default=5, help="a level and seed (default 5)")
+    parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
-    parser.add_argument("--out", default="tables")
-    args = parser.parse_args()
-    return run_command("reproduce_tables", lambda: run(args))
+    parser.add_argument("--out", type=name, default="tables")
+
+    def command():
+        check_words(sys.argv[1:])
+        return run(parser.parse_args())
+
+    return run_command("reproduce_tables", command)
 
 
 if __name__ == "__main__":

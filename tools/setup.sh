@@ -16,6 +16,17 @@ find_python() {
   exit 1
 }
 
+# Everything is made in the checkout, so it has to be one that can be written.
+check_writable() {
+  if ! { : > .setup-try; } 2>/dev/null; then
+    echo "setup: can't write to $PWD, where .venv is to be made: copy the checkout to a folder of yours (cp -r $PWD ~/bson)" \
+      "and run the copy's tools/, or install into an environment of your own: python3 -m venv ~/bson-env &&" \
+      "~/bson-env/bin/pip install $PWD && ~/bson-env/bin/bson demo --out ~/bson-demo" >&2
+    exit 1
+  fi
+  rm -f .setup-try
+}
+
 install_packages() {
   local stamp want
   stamp=.venv/.setup-stamp
@@ -23,6 +34,7 @@ install_packages() {
   if [ -x .venv/bin/python ] && [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then
     return
   fi
+  check_writable
   if [ ! -x .venv/bin/python ]; then
     local python
     python=$(find_python)

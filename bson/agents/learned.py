@@ -8,10 +8,12 @@ import pathlib
 
 import numpy as np
 
-from bson.features import Features
+from bson.features import FEATURES, Features
 from macid import assets
+from macid.files import UsageError
 from macid.policy import read_network
 
+ACTIONS = 2
 _OUTPUTS = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
 
@@ -53,16 +55,20 @@ def names():
 
 
 def load(name):
-    """A factory of the agent `name`: a shipped one, or a .npz file. Raises ValueError for what is none."""
+    """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none."""
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
     layers, recipe = read_network(path)
-    if recipe.get("output") not in _OUTPUTS:
-        raise ValueError(
+    output = recipe.get("output")
+    if not isinstance(output, str) or output not in _OUTPUTS:
+        raise UsageError(
             f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of {', '.join(_OUTPUTS)}."
         )
+    for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
+        if given != wanted:
+            raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
 
     def factory():
-        return Learned(layers, recipe["output"])
+        return Learned(layers, output)
 
     factory.track, factory.sensor = Learned.track, Learned.sensor
     return factory

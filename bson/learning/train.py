@@ -3,21 +3,18 @@
 import contextlib
 import dataclasses
 import functools
-import io
-import json
 import pathlib
-import pickle
 import sys
 import time
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
 from bson.evaluate import run_episodes, sound, versions
+from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
@@ -25,9 +22,21 @@ from bson.metrics import measure
 from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
-from macid.files import write_bytes
-from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
-from macid.policy import write_network
+from macid import start
+from macid.documents import read_document
+from macid.files import UsageError, lock_folder
+from macid.learning.curves import (
+    CHECKPOINT,
+    FILES,
+    damaged,
+    plain,
+    read_checkpoint,
+    thin,
+    training_folder,
+    write_checkpoint,
+    write_curve,
+)
+from macid.policy import MOST_RECIPE_BYTES, write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
@@ -112,11 +121,17 @@ class _Keeper:
         """Time spent so far, in all sittings."""
         return self.spent + time.monotonic() - self._begin
 
-    def validate(self, layers, output, steps):
-        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores."""
+    def validate(self, layers, output, steps, interrupted=lambda: False):
+        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores. Raises
+        KeyboardInterrupt once it was `interrupted`."""
+
+        def progress(steps, episode):
+            if interrupted():
+                raise KeyboardInterrupt
+
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
         agent, config = functools.partial(learned.Learned, layers, output), self.config
-        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name))
+        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
@@ -150,9 +165,9 @@ class _Keeper:
 class _Progress(BaseCallback):
     """Logs, validates and writes checkpoints between an algorithm's updates."""
 
-    def __init__(self, keeper, show, seconds_between_checkpoints):
+    def __init__(self, keeper, show, seconds_between_checkpoints, interrupted):
         super().__init__()
-        self._keeper, self._show = keeper, show
+        self._keeper, self._show, self._interrupted = keeper, show, interrupted
         self._every, self._last_save, self._last_row = seconds_between_checkpoints, time.monotonic(), -np.inf
         self.recent = []
 
@@ -163,16 +178,18 @@ class _Progress(BaseCallback):
 
     def _on_rollout_start(self):
         now, steps, keeper = time.monotonic(), self.num_timesteps, self._keeper
-        if now - self._last_save > self._every:
+        if self._interrupted() or now - self._last_save > self._every:
             self._last_save = now
             _save_checkpoint(self.model, keeper)
+        if self._interrupted():
+            raise KeyboardInterrupt
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
             means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
             keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
             self._show(steps, means)
         if steps // keeper.config.validate_every > len(keeper.validations):
-            scores = keeper.validate(*export(self.model), steps)
+            scores = _validate(self.model, keeper, self._interrupted)
             keeper.write(steps)
             self._show(steps, scores, validation=True)
 
@@ -191,17 +208,16 @@ def one_thread():
 
 def _save_checkpoint(model, keeper):
     """Writes all of a training but the worlds: networks, optimisers, replay buffer, counters, random numbers."""
-    buffer = io.BytesIO()
-    model.save(buffer)
-    content = {
-        "steps": model.num_timesteps,
-        "model": buffer.getvalue(),
-        "replay": getattr(model, "replay_buffer", None),
-        "torch": torch.get_rng_state(),
-        "numpy": np.random.get_state(),
-        "keeper": keeper.state,
-    }
-    write_bytes(keeper.folder / "checkpoint.pkl", pickle.dumps(content))
+    write_checkpoint(keeper.folder, *checkpoint.collect(model, keeper.state))
+
+
+def _validate(model, keeper, interrupted):
+    """Scores of the model's policy now, see `_Keeper.validate`. Ctrl-C leaves a checkpoint, which goes on with this."""
+    try:
+        return keeper.validate(*export(model), model.num_timesteps, interrupted)
+    except KeyboardInterrupt:
+        _save_checkpoint(model, keeper)
+        raise
 
 
 def _env(config, steps=0):
@@ -209,25 +225,34 @@ def _env(config, steps=0):
     return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
 
 
-def _restore(saved, keeper):
-    """The model of a checkpoint's content; its keeper's state is restored."""
-    config = keeper.config
-    keeper.restore(saved["keeper"])
-    kind = PPO if isinstance(config.hyperparameters, PpoConfig) else SAC
-    model = kind.load(io.BytesIO(saved["model"]), env=_env(config, saved["steps"]), device="cpu")
-    if saved["replay"] is not None:
-        model.replay_buffer = saved["replay"]
-    torch.set_rng_state(saved["torch"])
-    np.random.set_state(saved["numpy"])
+def _restored(keeper):
+    """The model of the checkpoint in the keeper's folder; its keeper's state is restored. None where there is none."""
+    config, saved = keeper.config, read_checkpoint(keeper.folder, checkpoint.Noted)
+    if not saved:
+        return None
+    found, noted = saved
+    model = config.hyperparameters.build(_env(config, noted["steps"]), config.seed)
+    try:
+        keeper.restore(checkpoint.restore(model, found, noted, export(model)[0]))
+    except ValueError as error:
+        raise damaged(keeper.folder / CHECKPOINT, error) from None
     return model
 
 
 def is_done(config, folder):
-    """Whether the training `config` has its policy, to the last step, in `folder`."""
-    if not (folder / "policy.npz").exists() or not (folder / "policy.json").exists():
+    """Whether the training `config` has its policy, to the last step, in `folder`. Raises UsageError, which says what to do,
+    where the policy's recipe is damaged."""
+    path = folder / "policy.json"
+    if not (folder / "policy.npz").exists() or not path.exists():
         return False
-    recipe, wanted = json.loads((folder / "policy.json").read_text()), plain(config)
-    return recipe["steps_done"] >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
+    try:
+        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), plain(config)
+        done = recipe.get("steps_done")
+        if isinstance(done, bool) or not isinstance(done, int | float):
+            raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
+    except UsageError as error:
+        raise UsageError(f"{str(error).rstrip('.')}. Delete '{path}': --resume writes it anew.") from None
+    return done >= config.steps and all(recipe.get(name) == wanted[name] for name in wanted)
 
 
 @one_thread()
@@ -239,28 +264,39 @@ def train(
 
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the
-    folder has another configuration's training, or, without `resume`, this one's.
+    the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints: it
+    begins anew, unless it was done. Raises UsageError if the folder has another configuration's training, or, without
+    `resume`, this one's, or if another process trains there.
     """
-    folder = training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
+    path = pathlib.Path(out) / f"{config.name}-{config.seed}"
+    with lock_folder(path, FILES, alone=("config.json",)):
+        return _train(config, path, resume, show, seconds_between_checkpoints)
+
+
+def _train(config, path, resume, show, seconds_between_checkpoints):
+    """`train` in the folder `path`, which is locked."""
+    folder = training_folder(path, config, resume)
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
     if config.algo == "bc":
         return _train_bc(config, keeper, show)
-    saved = read_checkpoint(folder / "checkpoint.pkl")
-    if saved:
-        model = _restore(saved, keeper)
+    model = _restored(keeper)
+    resumed = model is not None
+    if resumed:
         show(model.num_timesteps, {})
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
     left = config.steps - model.num_timesteps
-    progress = _Progress(keeper, show, seconds_between_checkpoints)
-    if left > 0:
-        model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not saved)
-        scores = keeper.validate(*export(model), model.num_timesteps)
-        show(model.num_timesteps, scores, validation=True)
-        _save_checkpoint(model, keeper)
+    begun = model.num_timesteps
+    with start.deferred(lambda: model.num_timesteps > begun) as interrupted:
+        progress = _Progress(keeper, show, seconds_between_checkpoints, interrupted)
+        if left > 0:
+            model.learn(left, callback=progress, log_interval=None, reset_num_timesteps=not resumed)
+        if not keeper.validations or keeper.validations[-1]["steps"] != model.num_timesteps:
+            scores = _validate(model, keeper, interrupted)
+            show(model.num_timesteps, scores, validation=True)
+            _save_checkpoint(model, keeper)
     keeper.write(model.num_timesteps)
     return folder
 

@@ -3,11 +3,17 @@
 import dataclasses
 import json
 import pathlib
-import pickle
 
 import numpy as np
 
+from macid import arrays
+from macid.documents import convert, read_document
 from macid.files import UsageError, output_folder, write_bytes, write_json
+
+CHECKPOINT = "checkpoint.npz"  # arrays, and training.json: no pickle, which would run code
+FILES = ("config.json", "curve.csv", CHECKPOINT, "policy.npz", "policy.json")  # of a training
+OLD_CHECKPOINT = "checkpoint.pkl"  # of earlier versions
+_NOTED = "training"  # the document in a checkpoint
 
 
 def plain(config):
@@ -36,9 +42,8 @@ def training_folder(path, config, resume):
     to go on, this one's: nothing is trained over.
     """
     folder, noted = output_folder(path), plain(config)
-    if any((folder / name).exists() for name in ("checkpoint.pkl", "policy.npz", "policy.json")):
-        before = json.loads((folder / "config.json").read_text()) if (folder / "config.json").exists() else noted
-        before = completed(before, config)
+    if any((folder / name).exists() for name in (CHECKPOINT, OLD_CHECKPOINT, "policy.npz", "policy.json")):
+        before = completed(read_config(folder), config) if (folder / "config.json").exists() else noted
         if changed := sorted(name for name in {*before, *noted} if before.get(name) != noted.get(name)):
             told = ", ".join(f"{name} is {before.get(name)}, not {noted.get(name)}" for name in changed)
             raise UsageError(
@@ -52,13 +57,59 @@ def training_folder(path, config, resume):
     return folder
 
 
-def read_checkpoint(path):
-    """What was pickled to `path`; None where there is nothing. Raises UsageError where it can't be read."""
-    path = pathlib.Path(path)
+def read_config(folder):
+    """config.json of the training in `folder`, a dict. Raises UsageError, which says what to do, where it is damaged."""
     try:
-        return pickle.loads(path.read_bytes()) if path.exists() else None
-    except (EOFError, pickle.UnpicklingError, AttributeError, ImportError, TypeError) as error:
-        raise UsageError(f"'{path}' is damaged or of another version ({error!r}): delete it to begin anew.") from None
+        return read_document(folder / "config.json", dict, "configuration")
+    except UsageError as error:
+        raise UsageError(
+            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or use another --out."
+        ) from None
+
+
+def write_checkpoint(folder, found, noted):
+    """Writes the checkpoint of the training in `folder`, all or nothing: arrays `found`, {name: array}, and `noted`, what
+    JSON has."""
+    write_bytes(pathlib.Path(folder) / CHECKPOINT, arrays.pack(found, {_NOTED: noted}))
+
+
+def read_checkpoint(folder, schema):
+    """({name: array}, what was noted) of the checkpoint in `folder`; None where there is none.
+
+    schema: the msgspec type of what was noted. Raises UsageError, which says what to do, where it can't be read.
+    """
+    path = pathlib.Path(folder) / CHECKPOINT
+    if not path.exists():
+        if (old := path.with_name(OLD_CHECKPOINT)).exists():
+            raise UsageError(
+                f"'{old}' is of an earlier version and can't be read: a pickle may run code. Delete it to begin anew."
+            )
+        return None
+    try:
+        found, documents = arrays.unpack(path, path.stat().st_size)  # nothing in it is packed
+        if documents.keys() != {_NOTED}:
+            raise ValueError(f"it must hold {_NOTED}.json")
+        convert(documents[_NOTED], schema, f"{_NOTED}.json")
+    except (OSError, ValueError) as error:
+        raise damaged(path, error) from None
+    return found, documents[_NOTED]
+
+
+def damaged(path, reason):
+    """The UsageError for a checkpoint that is there, but is none of this training."""
+    told = getattr(reason, "strerror", None) or str(reason).rstrip(".")
+    return UsageError(f"'{path}' is damaged or of another version ({told}): delete it to begin anew.")
+
+
+def check_arrays(found, wanted):
+    """Raises ValueError unless the arrays `found` have the names, shapes and types of `wanted`, {name: array}."""
+    if odd := sorted(found.keys() ^ wanted.keys()):
+        raise ValueError(f"{odd[0]!r} is {'missing' if odd[0] in wanted else 'nothing that it has'}")
+    for name, array in wanted.items():
+        if (found[name].shape, found[name].dtype) != (array.shape, array.dtype):
+            raise ValueError(
+                f"{name!r} has {found[name].dtype} {found[name].shape}, not {array.dtype} {tuple(array.shape)}"
+            )
 
 
 def thin(rows, most):
@@ -67,6 +118,8 @@ def thin(rows, most):
 
 
 def write_curve(path, rows):
-    """`rows`, dicts of numbers of the same keys, as a csv file."""
+    """`rows`, dicts of numbers of the same keys, as a csv file; none of no rows."""
+    if not rows:
+        return
     lines = [",".join(rows[0])] + [",".join(f"{value:.6g}" for value in row.values()) for row in rows]
     write_bytes(path, ("\n".join(lines) + "\n").encode())

@@ -1,21 +1,33 @@
 """The training loop: many worlds of a crowd that never stops, rolled out and learned from, all in one jitted step."""
 
+import contextlib
 import dataclasses
 import pathlib
-import pickle
 import time
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
-from macid import geometry, physics, scene
-from macid.files import versions, write_bytes
+from macid import geometry, physics, scene, start
+from macid.files import UsageError, lock_folder, versions
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
 from macid.learning import ppo as learning
-from macid.learning.curves import plain, read_checkpoint, thin, training_folder, write_curve
+from macid.learning.curves import (
+    CHECKPOINT,
+    FILES,
+    check_arrays,
+    damaged,
+    plain,
+    read_checkpoint,
+    thin,
+    training_folder,
+    write_checkpoint,
+    write_curve,
+)
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
@@ -271,13 +283,18 @@ class Trainer:
             key_action, key_goal = jax.random.split(key)
             x, critic, action, log_probability = act(crowd, goals, key_action)
             command = to_command(to_velocity(action), crowd.yaw)
-            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
-            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
-            for _ in range(substeps):
+
+            def substep(carried):
+                state, _, steps_in_contact, pairs = carried
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
                 steps_in_contact = steps_in_contact + after.contact
-                pairs = pairs | physics.touching_people(after.position)
+                return state, after, steps_in_contact, pairs | physics.touching_people(after.position)
+
+            steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
+            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
+            carried = physics.repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
+            state, after, steps_in_contact, pairs = carried
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
             arrived = distance <= GOAL_RADIUS
@@ -369,57 +386,71 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
     the first seed's. With MJX and several devices, they share the work.
 
-    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one. Raises ValueError if it is another
-    configuration's, FloatingPointError if the training diverges.
+    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
+    something to keep. Raises ValueError if it is another configuration's or another process trains there,
+    FloatingPointError if the training diverges.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
-    folders = [training_folder(pathlib.Path(out) / f"{each.name}-{each.seed}", each, resume) for each in configs]
-    checkpoint = folders[0] / "checkpoint.pkl"
+    paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
+    with contextlib.ExitStack() as held:
+        for path in paths:
+            held.enter_context(lock_folder(path, FILES, alone=("config.json",)))
+        return _train(configs, paths, resume, show, minutes_between_checkpoints)
+
+
+def _train(configs, paths, resume, show, minutes_between_checkpoints):
+    """`train`, of `configs` in the folders `paths`, which are locked."""
+    config, seeds = configs[0], len(configs)
+    folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if saved := read_checkpoint(checkpoint):
-        if saved["configs"] != configs:
-            raise ValueError(f"'{checkpoint}' is of {len(saved['configs'])} seeds, not {seeds}. Use another --out.")
-        states = jax.tree.map(_restore, saved["states"], states)
-        curves, spent = saved["curves"], saved["seconds"]
+    if saved := _read(folders[0], configs, states):
+        states, curves, spent = saved
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
 
     def save():
-        content = {"configs": configs, "states": jax.tree.map(_keep, states), "curves": curves, "seconds": spent}
-        write_bytes(checkpoint, pickle.dumps(content))
+        noted = {"configs": [plain(each) for each in configs], "curves": curves, "seconds": spent}
+        write_checkpoint(folders[0], _named(states), noted)
         for folder, curve in zip(folders, curves, strict=True):
             write_curve(folder / "curve.csv", curve)
 
     begin = last_save = last_show = time.monotonic()
-    before, done = spent, len(curves[0])
-    while done < trainer.iterations:
-        try:
-            following, logs = trainer.iterate_seeds(states)
-            logs = jax.device_get(logs)
-        except KeyboardInterrupt:
-            save()
-            raise
-        states, done = following, done + 1
-        now = time.monotonic()
-        spent = before + now - begin
-        steps = done * trainer.samples
-        for index, curve in enumerate(curves):
-            values = {name: float(value[index]) for name, value in logs.items()}
-            curve.append({"agent_steps": steps, "seconds": round(spent, 2), **values})
-            if not np.isfinite(values["reward"]):
-                raise FloatingPointError(
-                    f"Training of seed {configs[index].seed} diverged at iteration {done}: the reward is {values['reward']}."
+    before, begun = spent, len(curves[0])
+    done = begun
+    with start.deferred(lambda: done > begun) as interrupted:
+        while done < trainer.iterations:
+            try:
+                following, logs = trainer.iterate_seeds(states)
+                logs = jax.device_get(logs)
+            except KeyboardInterrupt:
+                if done > begun:
+                    save()
+                raise
+            states, done = following, done + 1
+            now = time.monotonic()
+            spent = before + now - begin
+            steps = done * trainer.samples
+            for index, curve in enumerate(curves):
+                values = {name: float(value[index]) for name, value in logs.items()}
+                curve.append({"agent_steps": steps, "seconds": round(spent, 2), **values})
+                if wrong := [name for name, value in values.items() if not np.isfinite(value)]:
+                    raise FloatingPointError(
+                        f"Training of seed {configs[index].seed} diverged at iteration {done}: "
+                        f"the {wrong[0]} is {values[wrong[0]]}."
+                    )
+            if now - last_show > 5.0 or done == trainer.iterations:
+                last_show = now
+                figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
+                show(
+                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
                 )
-        if now - last_show > 5.0 or done == trainer.iterations:
-            last_show = now
-            figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
-            show(
-                f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
-            )
-        if now - last_save > 60 * minutes_between_checkpoints:
-            last_save = now
-            save()
+            if now - last_save > 60 * minutes_between_checkpoints:
+                last_save = now
+                save()
+            if interrupted():
+                save()
+                raise KeyboardInterrupt
     save()
     policies = []
     for index, (each, folder, curve) in enumerate(zip(configs, folders, curves, strict=True)):
@@ -437,6 +468,43 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
         policies.append(trainer.policy(state, recipe))
         policies[-1].save(folder / "policy")
     return policies
+
+
+class _Noted(msgspec.Struct):
+    """What a checkpoint notes beside a training's state."""
+
+    configs: list[dict]
+    curves: list[list[dict[str, float]]]
+    seconds: float
+
+
+def _read(folder, configs, like):
+    """(states, curves, seconds) of the checkpoint in `folder` of a training of `configs`; None where there is none.
+
+    like: states of that training. Raises UsageError.
+    """
+    if not (saved := read_checkpoint(folder, _Noted)):
+        return None
+    (found, noted), path, wanted = saved, folder / CHECKPOINT, _named(like)
+    if noted["configs"] != [plain(each) for each in configs]:
+        raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
+    try:
+        check_arrays(found, wanted)
+        states = jax.tree.unflatten(
+            jax.tree.structure(like), [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like))]
+        )
+        done = {len(curve) for curve in noted["curves"]} | {int(states.iteration)}
+        if len(noted["curves"]) != len(configs) or len(done) != 1:
+            raise ValueError("the curves are not as long as the training")
+    except ValueError as error:
+        raise damaged(path, error) from None
+    return states, noted["curves"], noted["seconds"]
+
+
+def _named(states):
+    """{name: NumPy array} of all leaves of `states`, in their order."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(states)
+    return {jax.tree_util.keystr(path): _keep(leaf) for path, leaf in leaves}
 
 
 def _keep(x):

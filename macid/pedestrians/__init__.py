@@ -15,7 +15,8 @@ from macid.state import RADIUS
 
 MODELS = {
     "social-force": SocialForce,
-    "social-force-bodies": functools.partial(SocialForce, body_radius=RADIUS),
+    "social-force-progress": functools.partial(SocialForce, step_by_progress=True),
+    "social-force-bodies": functools.partial(SocialForce, step_by_progress=True, body_radius=RADIUS),
     "orca": ORCA,
     "standing": Standing,
 }

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from macid.observation import observe
-from macid.policy import Policy
+from macid.policy import Policy, to_velocity
 
 
 def to_command(velocity, yaw):
@@ -25,4 +25,5 @@ class Learned:
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
         state = type(state)(*map(jnp.asarray, state))
         observed = observe(state, jnp.asarray(boxes), jnp.asarray(goals))
-        return to_command(self.policy(observed, jnp.asarray(lcf)), state.yaw)
+        action = self.policy.act(jnp.asarray(observed, jnp.float32), jnp.asarray(lcf, jnp.float32))
+        return to_command(to_velocity(action), state.yaw)

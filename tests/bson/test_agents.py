@@ -1,7 +1,9 @@
+import sys
+
 import numpy as np
 import pytest
 
-from bson.agents import BUILT_IN, AgentError, act, load_agent
+from bson.agents import BUILT_IN, AgentError, act, load_agent, reset_agent
 from bson.sensors import Lidar2D
 from macid.geometry import to_body
 
@@ -136,3 +138,120 @@ def test_a_class_is_built_once_a_world_and_a_file_may_import_its_neighbours(tmp_
     monkeypatch.chdir(tmp_path)
     (tmp_path / "near.py").write_text("def agent(observation):\n    return [0.3, 0.0]\n")
     assert act(load_agent("near:agent")(), OBSERVATION)[0] == 0.3
+
+
+class Guarded:
+    """As an array on a GPU."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise TypeError("Implicit conversion to a NumPy array is not allowed. Use .get()")
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (Guarded(), "Guarded, which NumPy can't read as numbers: raised TypeError: Implicit conversion"),
+        ([[0.1], [0.2]], "list of shape (2, 1)"),
+        ([[0.1], [0.2, 0.3]], "raised ValueError"),
+        ([Guarded(), 0.1], "Use .get()"),
+        (["0.1", "0.2"], "no real numbers"),
+        (np.array([1j, 0.5]), "complex128, no real numbers"),
+        ({0.1: 0.2, 0.3: 0.4}, "an action is two numbers"),
+    ],
+)
+def test_an_answer_that_numpy_cannot_read_is_one_line_with_the_reason(answer, told):
+    with pytest.raises(AgentError) as caught:
+        act(lambda observation: answer, OBSERVATION, "mine")
+    text = str(caught.value)
+    assert "'mine' returned" in text and told in text and "an action is two numbers" in text and "\n" not in text
+
+
+def test_a_torch_tensor_is_detached():
+    torch = pytest.importorskip("torch")
+    weights = torch.tensor([0.25, -0.5], requires_grad=True)
+    for answer in (weights * 2, [weights[0] * 2, weights[1] * 2], (weights * 2).detach()):
+        assert act(lambda observation: answer, OBSERVATION, "mine").tolist() == [0.5, -1.0]
+
+
+FAILING = """
+import json
+class Strict:
+    def __init__(self):
+        self.state = 3
+    def __getattr__(self, name):
+        raise RuntimeError("not ready")
+class Picky:
+    def __init__(self):
+        raise OSError("no weights")
+class Late:
+    def reset(self, seed):
+        self.missing.other
+    def __call__(self, observation):
+        return 0, 0
+def divides(observation):
+    return 1 / 0
+def parses(observation):
+    return json.loads("{")
+def leaves(observation):
+    exit(7)
+def several(observation):
+    raise ValueError("first\\nsecond")
+"""
+
+
+@pytest.mark.parametrize(
+    ("attribute", "told"),
+    [
+        ("divides", "raised ZeroDivisionError: division by zero in {file}, line 17"),
+        ("parses", "raised JSONDecodeError"),
+        ("parses", "in {file}, line 19"),
+        ("leaves", "called exit(7) in {file}, line 21"),
+        ("several", "raised ValueError: first second in {file}, line 23"),
+        ("Picky", "raised OSError: no weights in {file}, line 10"),
+        ("Late", "raised AttributeError: 'Late' object has no attribute 'missing' in {file}, line 13"),
+        ("Strict", "raised RuntimeError: not ready in {file}, line 7"),
+        ("nobody", "There are: Strict, Picky, Late, divides, parses, leaves, several."),
+    ],
+)
+def test_an_agents_failure_is_one_line_with_its_name_file_line_and_what_it_raised(tmp_path, attribute, told):
+    file = tmp_path / "mine.py"
+    file.write_text(FAILING)
+    name = f"{file}:{attribute}"
+    with pytest.raises(AgentError) as caught:
+        agent = load_agent(name)()
+        reset_agent(agent, 0, name)
+        act(agent, OBSERVATION, name)
+    text = str(caught.value)
+    assert f"Agent '{name}'" in text and told.format(file=file) in text and "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("exit(7)", "called exit(7) in {file}, line 1"),
+        ("import sys\nsys.exit()", "called exit() in {file}, line 2"),
+        ("def agent(:", "SyntaxError"),
+        ("import nowhere_at_all", "raised ModuleNotFoundError: No module named 'nowhere_at_all' in {file}, line 1"),
+        ("from json import nothing", "raised ImportError"),
+        ("1 / 0", "raised ZeroDivisionError: division by zero in {file}, line 1"),
+        ("raise BaseExceptionGroup('x', [ValueError('y')])", "raised"),
+        ("def __getattr__(name):\n    raise KeyError(name)", "raised KeyError: 'agent' in {file}, line 2"),
+    ],
+)
+def test_a_module_that_fails_as_it_is_loaded_is_told_by_either_name(tmp_path, monkeypatch, content, told):
+    (tmp_path / "failing_module.py").write_text(content)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("failing_module.py", "failing_module:agent"):
+        sys.modules.pop("failing_module", None)
+        with pytest.raises(AgentError) as caught:
+            load_agent(name)
+        text = str(caught.value).replace(f"{tmp_path}/", "")
+        assert f"Agent '{name}'" in text and told.format(file="failing_module.py") in text
+        assert "\n" not in text
+
+
+@pytest.mark.parametrize("name", [".near:agent", "..:agent", ":agent", "a/b:agent", "a b:agent", "a..b:agent", "1:2"])
+def test_what_is_no_modules_name_is_told(name):
+    with pytest.raises(AgentError, match=r"^Agent '.*' is no module's name"):
+        load_agent(name)

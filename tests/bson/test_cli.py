@@ -100,7 +100,7 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
         (["evaluate", "--out", "taken/run"], "taken/run"),
         (["render", "--out", "film.mp4"], ".webm"),
         (["render", "--agent", "nobody"], "stop, random, goal, vfh"),
-        (["bench", "--pedestrian-model", "sfm"], "orca, social-force, social-force-bodies"),
+        (["bench", "--pedestrian-model", "sfm"], "orca, social-force, social-force-bodies, social-force-progress"),
     ],
 )
 def test_a_wrong_request_is_one_line_that_names_what_is_valid_and_code_2(

@@ -21,7 +21,6 @@ from bson.learning.train import PRESETS, TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
 from macid.files import UsageError
-from macid.learning.curves import read_checkpoint
 from macid.policy import write_network
 
 torch.set_num_threads(1)  # the networks are too small for more
@@ -167,7 +166,7 @@ def test_a_training_writes_what_can_be_evaluated_and_goes_on(algo, hyperparamete
     with pytest.raises(Stop):
         train(dataclasses.replace(whole), tmp_path, show=stop, seconds_between_checkpoints=0)
     folder = tmp_path / f"{algo}-social-force-0"
-    assert (folder / "checkpoint.pkl").exists()
+    assert (folder / "checkpoint.npz").exists()
     assert train(whole, tmp_path, resume=True) == folder
     recipe = json.loads((folder / "policy.json").read_text())
     assert recipe["steps_done"] >= whole.steps and recipe["algo"] == algo
@@ -185,14 +184,17 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
     keeper = train_module._Keeper(config(algo, hyperparameters), tmp_path)
     model = hyperparameters.build(FeatureVecEnv(2, seed=0, **TASK), seed=0).learn(128)
     keeper.curve.append({"steps": 128})
-    keeper.best = {"steps": 64}
+    layers, output = export(model)
+    keeper.best = {"layers": layers, "output": output, "steps": 64, "validation": {"SNS": 1.5}}
     train_module._save_checkpoint(model, keeper)
     drawn = torch.rand(3), np.random.random(3)
     fresh = train_module._Keeper(keeper.config, tmp_path)
-    restored = train_module._restore(read_checkpoint(tmp_path / "checkpoint.pkl"), fresh)
+    restored = train_module._restored(fresh)
     assert (torch.rand(3) == drawn[0]).all() and (np.random.random(3) == drawn[1]).all()
     assert restored.num_timesteps == model.num_timesteps == 128 and restored._n_updates == model._n_updates > 0
-    assert fresh.curve == keeper.curve and fresh.best == keeper.best
+    assert fresh.curve == keeper.curve
+    kept = [np.concatenate([array.ravel() for layer in one.best.pop("layers") for array in layer]) for one in (keeper, fresh)]
+    assert (kept[0] == kept[1]).all() and fresh.best == keeper.best
     for before, after in zip(model.policy.parameters(), restored.policy.parameters(), strict=True):
         assert (before == after).all()
     optimizers = [one.policy.optimizer if algo == "ppo" else one.critic.optimizer for one in (model, restored)]
@@ -201,6 +203,13 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
     if algo == "tac":
         assert restored.replay_buffer.pos == model.replay_buffer.pos > 0
         assert (restored.replay_buffer.observations == model.replay_buffer.observations).all()
+    for one in (model, restored):  # and what they learn next, in the same worlds from the same draws, is the same
+        train_module._restored(train_module._Keeper(keeper.config, tmp_path))  # sets torch's and NumPy's random numbers
+        one.set_env(FeatureVecEnv(2, seed=5, **TASK))
+        one.action_space.seed(1)
+        one.learn(64, reset_num_timesteps=False)
+    for name, tensor in model.policy.state_dict().items():
+        assert (tensor == restored.policy.state_dict()[name]).all(), name
 
 
 def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
@@ -233,10 +242,10 @@ def test_a_training_done_is_never_done_again(tmp_path):
     train(whole, tmp_path, resume=True)
     assert (folder / "policy.json").read_bytes() == before
     (folder / "policy.json").unlink()  # as if killed before it was written
-    (folder / "checkpoint.pkl").write_bytes(b"")
+    (folder / "checkpoint.npz").write_bytes(b"")
     with pytest.raises(UsageError, match="damaged"):
         train(whole, tmp_path, resume=True)
-    (folder / "checkpoint.pkl").unlink()
+    (folder / "checkpoint.npz").unlink()
     with pytest.raises(UsageError, match="already"):
         train(whole, tmp_path)
     assert (folder / "policy.npz").exists()

@@ -61,7 +61,7 @@ def test_without_resume_what_is_there_goes_and_nothing_else(played, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_episodes_follow_from_is_told_apart(tmp_path):
+def test_what_episodes_follow_from_is_told_apart(played, tmp_path):
     (tmp_path / "agent.py").write_text("agent = None")
     agent = str(tmp_path / "agent.py")
     track = ("local", "lidar2d")
@@ -79,9 +79,43 @@ def test_what_episodes_follow_from_is_told_apart(tmp_path):
     (tmp_path / "agent.py").write_text("agent = 1")
     for name, after in {**changes, "agent ": basis(agent, track, [CELL], False)}.items():
         assert " and ".join(key for key in before if before[key] != after[key]) == name.strip()
-    Unfinished(tmp_path, before, resume=False)
+    Unfinished(tmp_path, before, resume=False).save(CELL, played[0])
     with pytest.raises(UsageError, match="track changed.*--resume"):
         Unfinished(tmp_path, changes["track"], resume=True)
+
+
+def test_nothing_is_made_or_lost_before_the_first_episode_is_saved(played, tmp_path):
+    Unfinished(tmp_path, {"agent": "a"}, resume=False)
+    assert not list(tmp_path.iterdir())
+    Unfinished(tmp_path, {"agent": "a"}, resume=False).save(CELL, played[0])
+    assert Unfinished(tmp_path, {"agent": "b"}, resume=False).load(CELL, 5) is None
+    assert same(Unfinished(tmp_path, {"agent": "a"}, resume=True).load(CELL, 5), played[0])
+
+
+def test_a_damaged_or_foreign_episode_is_as_if_it_were_not_there(played, tmp_path):
+    other = Unfinished(tmp_path / "other", {"agent": "b"}, resume=False)
+    other.save(CELL, played[0])
+    Unfinished(tmp_path, {"agent": "a"}, resume=False).save(CELL, played[0])
+    path = tmp_path / "unfinished" / f"{CELL.slug}-5.npz"
+    whole = path.read_bytes()
+    flipped = whole[:200] + bytes([whole[200] ^ 1]) + whole[201:]
+    foreign = (tmp_path / "other" / "unfinished" / path.name).read_bytes()
+    for content in (b"", whole[:1], whole[:-1], whole[: len(whole) // 2], whole[:-32], whole + b"x", flipped, foreign):
+        path.write_bytes(content)
+        again = Unfinished(tmp_path, {"agent": "a"}, resume=True)
+        assert again.load(CELL, 5) is None
+    again.save(CELL, played[0])
+    assert same(again.load(CELL, 5), played[0]) and path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"null", b"{", b"\xff", b"{}", b'{"agent": [}', b"[" * 5000])
+def test_a_wrong_basis_is_named_with_what_to_do(played, tmp_path, content):
+    Unfinished(tmp_path, {"agent": "a"}, resume=False).save(CELL, played[0])
+    (tmp_path / "unfinished" / "basis.json").write_bytes(content)
+    with pytest.raises(UsageError, match="--resume") as caught:
+        Unfinished(tmp_path, {"agent": "a"}, resume=True)
+    assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
+    Unfinished(tmp_path, {"agent": "a"}, resume=False).save(CELL, played[1])
 
 
 KILLER = """import os, pathlib, signal
@@ -108,6 +142,11 @@ def test_an_evaluation_that_was_killed_goes_on_and_gives_what_it_would_have_give
     assert not (tmp_path / "killed" / "results.json").exists()
 
     os.unlink(tmp_path / "armed")
+    one, two = sorted((tmp_path / "killed" / "unfinished").glob("*.npz"))[3:5]
+    one.write_bytes(b"")  # as a crash of the machine leaves it
+    two.write_bytes(two.read_bytes()[:-100])
+    leftover = tmp_path / "killed" / "unfinished" / f".{one.name}.ab12cd_3"
+    leftover.write_bytes(b"half")
     assert cli.main([*command, "--set", "lcf=1", "--out", "killed", "--resume"]) == 2
     assert "cells changed since it began" in capsys.readouterr().err
     contents, progress = [], []
@@ -117,5 +156,5 @@ def test_an_evaluation_that_was_killed_goes_on_and_gives_what_it_would_have_give
         assert {path.name for path in (tmp_path / out[0]).iterdir()} == {"results.json", "report.html"}
         contents.append(json.loads((tmp_path / out[0] / "results.json").read_text()))
         contents[-1].pop("command")
-    assert "16/18" in progress[0] and "15/18" not in progress[0] and " 0/18" in progress[1]
+    assert "14/18" in progress[0] and "13/18" not in progress[0] and " 0/18" in progress[1]
     assert contents[0] == contents[1] and len(contents[0]["episodes"]) == 18

@@ -486,6 +486,10 @@ def test_a_file_of_ones_own_is_a_robot_with_its_meshes(box):
     assert after_a_second(model, (0.5, 0.5), description) == pytest.approx([0.5, 0.5], rel=0.1)
 
 
+def test_what_xacro_has_expanded_is_read(box):
+    robot.load_robot(box(urdf=('<robot name="box">', '<robot name="box" xmlns:xacro="http://www.ros.org/wiki/xacro">')))
+
+
 def test_a_changed_model_is_read_again(box):
     first = robot.load_robot(box())
     second = robot.load_robot(
@@ -516,16 +520,25 @@ def test_a_changed_model_is_read_again(box):
             "must be a box",
         ),
         (("imu =", "imu2 ="), ("", ""), "no place for the sensor 'imu'"),
-        (("0.0, 0.0, 0.3] }", "0.0, 0.3] }"), ("", ""), "mounts.lidar.position must be three numbers"),
+        (("0.0, 0.0, 0.3] }", "0.0, 0.3] }"), ("", ""), "mounts.lidar.position': it must be three numbers"),
         (('"differential"', '"ackermann"'), ("", ""), "one of differential, skid-steer"),
         (('"differential"', '"skid-steer"'), ("", ""), "needs drive.effective_track"),
-        (("wheel_radius", "wheel_diameter"), ("", ""), "missing 'wheel_radius'"),
+        (("wheel_radius", "wheel_diameter"), ("", ""), "unknown key 'wheel_diameter'.*wheel_radius"),
         (("track = 0.4", "track = 0.4\nwheels = 2"), ("", ""), "unknown key 'wheels'.*effective_track, gain"),
-        (("[footprint]", "[outline]"), ("", ""), "missing 'footprint'"),
-        (("max_speed = 1.0", "max_speed = 0.0"), ("", ""), "max_speed must be a number above 0"),
-        (("max_speed = 1.0", "max_speed = 20.0"), ("", ""), "at most 5.0 m/s"),
-        (("half_length = 0.2", "half_length = 2.0"), ("", ""), "at most 0.8 m"),
-        (("gain = 5.0", "gain = -5.0"), ("", ""), "drive.gain must be a number above 0"),
+        (("[footprint]", "[outline]"), ("", ""), "unknown key 'outline'.*footprint"),
+        (("max_speed = 1.0", "max_speed = 0.0"), ("", ""), "max_speed': it must be a number above 0, from 0.01 to 5 m/s, not 0.0"),
+        (("max_speed = 1.0", "max_speed = 20.0"), ("", ""), "from 0.01 to 5 m/s, not 20.0"),
+        (("half_length = 0.2", "half_length = 2.0"), ("", ""), "from 0.02 to 0.8 m, not 2.0"),
+        (("half_length = 0.2", "half_length = 0.79"), ("", ""), "at most 0.8 m"),
+        (("half_width = 0.25\n", ""), ("", ""), "'footprint': missing 'half_width'"),
+        (("wheel_radius = 0.1", "wheel_radius = 1e-12"), ("", ""), "wheel_radius': it must be .*, not 1e-12"),
+        (("", ""), ('mass value="5"', 'mass value="1e300"'), "mass is .*from 0.1 to 1000 kg|mass"),
+        (("", ""), ('ixx=".1" iyy=".1" izz=".1"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"'), "body 'base.* radii of gyration"),
+        (("", ""), ('sphere radius=".1"', 'sphere radius="1e-12"'), "body 'w[lr]' touches with a shape of radius 1e-12"),
+        (("box.urdf", "box.urdf.xacro"), ("", ""), "xacro FILE.urdf.xacro > FILE.urdf"),
+        (("", ""), ('<robot name="box">', '<robot name="box"><xacro:property name="a" value="1"/>'), "xacro's macros"),
+        (("", ""), ("meshes/box.obj", "meshes/box.dae"), "can't read the mesh .*box.dae'.*obj or .stl"),
+        (("gain = 5.0", "gain = -5.0"), ("", ""), "drive.gain': it must be a number above 0"),
         (("track = 0.4", "track = "), ("", ""), "is not TOML"),
     ],
 )

@@ -96,7 +96,7 @@ def test_the_carry_over_table_has_each_crowd_and_their_mean():
         return [episode(met[pedestrian_model, file]), None]
 
     lines = table3._carried({"orca": [0, 2], "goal": [0]}, score, "SNS")
-    assert lines[0].split(" | ")[1:] == ["social-force", "orca", "ipo", "macid", "macid-touch", "mean |"]
+    assert lines[0].split(" | ")[1:] == ["social-force-progress", "orca", "ipo", "macid", "macid-touch", "mean |"]
     assert [cell.split()[0] for cell in lines[2].split(" | ")[1:]] == ["1.0", "11.0", "21.0", "31.0", "41.0", "21.0"]
     assert lines[3].split(" | ")[1] == "0.0, 2.0" and lines[3].split(" | ")[-1] == "20.0, 22.0 |"
     assert lines[4].split(" | ")[-1].startswith("20.0 ") and len(lines) == 5

@@ -26,7 +26,7 @@ def test_defaults_are_the_papers():
         ({"num_pedestrians": -1}, "at least 0"),
         ({"num_pedestrians": 2.5}, "whole number"),
         ({"num_pedestrians": 3, "pedestrian_density": 0.1}, "not both"),
-        ({"pedestrian_model": "crowdnav"}, "orca, social-force, social-force-bodies"),
+        ({"pedestrian_model": "crowdnav"}, "orca, social-force, social-force-bodies, social-force-progress"),
         ({"lcf": (1.0, -1.0)}, "least <= most"),
         ({"lcf": "high"}, "least, most"),
         ({"map_size": 1.0}, "between 10 and 500"),

@@ -33,6 +33,7 @@ def episode_of(crowd, places, goals):
         ({"period": 0.0}, "multiple of the physics step"),
         ({"period": -0.02}, "multiple of the physics step"),
         ({"period": float("inf")}, "multiple of the physics step"),
+        ({"period": 1e308}, "multiple of the physics step"),
         ({"period": float("nan")}, "multiple of the physics step"),
         ({"lcf": (1.0, 0.0)}, r"range \(least, most\) in \[-2, 2\], not \(1.0, 0.0\)"),
         ({"lcf": (0.0, float("inf"))}, "range"),
@@ -46,6 +47,24 @@ def test_a_bad_config_is_told(fields, told):
 def test_the_papers_episode_has_1000_decisions():
     assert (CrowdConfig().steps, CrowdConfig().substeps) == (1000, 1)
     assert (CrowdConfig(period=0.1).steps, CrowdConfig(period=0.1).substeps) == (200, 5)
+
+
+def test_a_long_decision_is_as_many_short_ones_and_no_longer_to_compile():
+    layout, places = Layout(30.0, np.zeros((0, 5))), [[-5.0, 0.0], [-4.0, 0.3], [5.0, 1.0]]
+    sizes, ends = [], []
+    for period, decisions in ((0.02, 60), (1.2, 1), (12.0, 1)):
+        crowd = Crowd(layout, CrowdConfig(number=3, period=period, duration=24.0))
+        start = episode_of(crowd, places, [NOWHERE] * 3)
+        command = constant([0.4, 0.0, 0.0])
+        sizes.append(len(str(jax.make_jaxpr(lambda e, crowd=crowd: crowd.step(e, jnp.zeros((1, 3, 3))))(start))))
+        if period < 12.0:
+            ends.append(crowd.rollout(start, command, steps=decisions)[0])
+    assert sizes[1] == pytest.approx(sizes[2], rel=0.05)
+    short, long = ends
+    np.testing.assert_array_equal(short.physics.qpos, long.physics.qpos)
+    np.testing.assert_array_equal(short.collisions, long.collisions)
+    np.testing.assert_allclose(short.travelled, long.travelled, rtol=1e-6)
+    np.testing.assert_allclose(long.travelled, 0.48, atol=0.02)
 
 
 def test_an_episode_begins_as_the_config_says():

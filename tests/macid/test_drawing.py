@@ -1,5 +1,6 @@
 """Colours of LCFs; and what the user is told where nothing can be drawn. (Films themselves: test_watch, bson's test_film.)"""
 
+import contextlib
 import os
 import pathlib
 import subprocess
@@ -42,3 +43,44 @@ def test_without_gl_the_import_works_and_the_message_says_how_to_mend_it(environ
     assert done.returncode == 0, done.stderr
     problem, raised = done.stdout.splitlines()
     assert says in problem and "MUJOCO_GL=egl" in problem and raised == "raised"
+
+
+def noise(number):
+    """Pictures that hardly compress."""
+    rng = np.random.default_rng(0)
+    yield from (rng.integers(0, 255, (240, 320, 3), np.uint8) for _ in range(number))
+
+
+def frames(path):
+    """How many pictures a film has, by a name that OpenCV takes."""
+    import cv2
+
+    (path.parent / "copy.webm").write_bytes(path.read_bytes())
+    with contextlib.chdir(path.parent):
+        video = cv2.VideoCapture("copy.webm")
+        count = 0
+        while video.grab():
+            count += 1
+    (path.parent / "copy.webm").unlink()
+    return count
+
+
+def test_a_film_s_name_and_folder_need_not_be_utf_8(tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9\xff")
+    folder.mkdir()
+    path = folder / os.fsdecode(b"a\xff.webm")
+    assert drawing.write_webm(path, noise(4), 4, 10) == path
+    assert frames(path) == 4 and os.listdir(folder) == [path.name]
+
+
+def test_a_cut_film_is_told_and_the_old_one_stays(tmp_path, capfd):
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=600k", "tmpfs", tmp_path], capture_output=True).returncode:
+        pytest.skip("may not mount a file system")
+    try:
+        drawing.write_webm(tmp_path / "a.webm", noise(2), 2, 10)
+        with pytest.raises(OSError, match=r"a.webm': only \d+ of its 40 pictures can be read back"):
+            drawing.write_webm(tmp_path / "a.webm", noise(40), 40, 10)
+        assert frames(tmp_path / "a.webm") == 2 and os.listdir(tmp_path) == ["a.webm"]
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
+    assert capfd.readouterr().err == ""

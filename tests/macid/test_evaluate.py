@@ -1,14 +1,17 @@
+import dataclasses
+import functools
 import json
 import warnings
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from macid import metrics
+from macid import cli, metrics
 from macid.crowd import Crowd, CrowdConfig
 from macid.evaluate import evaluate_level, format_table
 from macid.layout import load_level
-from macid.pedestrians import make_controller
+from macid.pedestrians import MODELS, make_controller
 from macid.scene import PersonConfig
 
 COLUMNS = ("SR10", "CP", "PE", "arrived", "dv", "dw", "stalled")
@@ -54,3 +57,42 @@ def test_the_table_lines_up():
     assert len({len(line) for line in lines}) == 1
     assert all(name in lines[0] for name in ("model", "level", "people", *COLUMNS))
     assert lines[1].count("100.0 +- 12.3") == len(COLUMNS)
+
+
+@dataclasses.dataclass(frozen=True)
+class Mad:
+    """A model whose people command what is no velocity where `value` is not finite; in the `worlds` first ones."""
+
+    period: float
+    value: float = np.nan
+    worlds: int = 1
+
+    def __call__(self, state, boxes, goals, lcf):
+        command = make_controller("social-force", self.period)(state, boxes, goals, lcf)
+        mad = jnp.arange(len(command)) < self.worlds
+        return command.at[:, 3, 0].set(jnp.where(mad, self.value, command[:, 3, 0]))
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_an_episode_in_which_physics_failed_is_not_scored(monkeypatch, engine, tmp_path, capsys):
+    short = dataclasses.replace(NEAR, duration=1.0)
+    sane = evaluate_level("social-force", 1, episodes=3, seed=5, config=short, engine=engine)
+    assert sane["faults"] == []
+    monkeypatch.setitem(MODELS, "mad", Mad)
+    row = evaluate_level("mad", 1, episodes=3, seed=5, config=short, engine=engine)
+    assert [fault["episode"] for fault in row["faults"]] == [0]
+    crowd = Crowd(load_level(1), dataclasses.replace(short, number=25), nworld=3, engine=engine)
+    end, _ = crowd.rollout(crowd.reset(np.random.default_rng((5, 1))), make_controller("social-force", 0.1))
+    others = (np.asarray(end.sped).sum(axis=1) / np.asarray(end.time).sum(axis=1))[1:]
+    assert row["dv"] == pytest.approx(others.mean(), rel=1e-5) and row["dv"] != pytest.approx(sane["dv"], rel=1e-5)
+    json.dumps(row, allow_nan=False)
+    told = format_table([sane, row]).splitlines()
+    assert told[-1].startswith("not scored, as physics failed: episode 0 of mad on Lv.1: ") and len(told) == 4
+    monkeypatch.setitem(MODELS, "mad", functools.partial(Mad, worlds=3))
+    with pytest.raises(ValueError, match="nothing to score: physics failed in all episodes of 'mad' on Lv.1. Episode 0: "):
+        evaluate_level("mad", 1, episodes=3, config=short, engine=engine)
+    if engine == "native":
+        out = tmp_path / "rows.json"
+        command = ["evaluate", "--pedestrian", "mad", "--levels", "1", "--episodes", "1", "--period", "0.1"]
+        assert cli.main([*command, "--out", str(out)]) == 2 and not out.exists()
+        assert "nothing to score" in capsys.readouterr().err

@@ -45,9 +45,13 @@ def test_an_image_is_read_as_map_server_reads_it(tmp_path):
     ("fields", "told"),
     [
         ({"image": "none.pgm"}, "can't read its image 'none.pgm'"),
-        ({"resolution": -1}, "resolution must be a number above 0, not -1"),
-        ({"origin": "[0, 0, 0.5]"}, "turned map"),
-        ({"mode": "scale"}, "trinary"),
+        ({"resolution": -1}, "'resolution': it must be a number above 0 .*not -1"),
+        ({"origin": "[0, 0]"}, "'origin': it must be a list of 3"),
+        ({"mode": "grey"}, "'mode': it must be one of trinary, scale, raw, not 'grey'"),
+        ({"free_thresh": 0.7}, "'free_thresh': it must be below occupied_thresh, 0.65, not 0.7"),
+        ({"negate": 2}, "'negate': it must be"),
+        ({"resolution": ".nan"}, "'resolution': a number"),
+        ({"resolution": "wide"}, "'resolution': it must be a number above 0"),
     ],
 )
 def test_a_wrong_image_map_is_told(tmp_path, fields, told):
@@ -73,7 +77,7 @@ def test_wrong_names_and_files_are_told(tmp_path):
         ("regions = {robot_goal = []}", "robot_goal has no box"),
         ("routes = [[[0, 0]]]", "two or more points"),
         ("routes = [[[0, 0], [0, 50]]]", "on the map"),
-        ("rooms = 3", "unknown keys"),
+        ("rooms = 3", "unknown key 'rooms'. Choose among size, name"),
     ],
 )
 def test_a_wrong_layout_file_is_told(tmp_path, text, told):

@@ -1,4 +1,5 @@
 import json
+import re
 
 import jax
 import jax.numpy as jnp
@@ -92,3 +93,132 @@ def test_a_broken_file_and_a_wrong_observation_are_told(tmp_path):
         policy.load_policy(str(tmp_path / "robot.npz"))
     with pytest.raises(ValueError, match="41 columns"):
         make()(np.zeros(40), 0.0)
+
+
+def scans():
+    """An observation of a person among others, with some of its rays meeting nothing; and a policy."""
+    seen, _ = observations(1, seed=7)
+    seen[0, 2:5] = [1.2, -0.3, 0.0]
+    seen[0, 5 + 3 * 4 : 5 + 3 * 9] = [7.0, 0.0, 0.0] * 5
+    return policy.load_policy("macid"), seen
+
+
+def ways(made):
+    """The three ways to ask a policy: {name: function of an observation and an LCF}."""
+    torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
+    module = made.to_torch()
+    return {
+        "numpy": made,
+        "jax": lambda seen, lcf: made(jnp.asarray(seen), lcf),
+        "torch": lambda seen, lcf: module(seen if torch.is_tensor(seen) else torch.as_tensor(seen), lcf).detach().numpy(),
+    }
+
+
+@pytest.mark.parametrize("beyond", [7.5, 30.0, 1e30, np.inf])
+def test_a_reading_beyond_the_range_is_a_miss(beyond):
+    made, seen = scans()
+    there = seen.copy()
+    there[0, 5 + 3 * 4 : 5 + 3 * 9] = [beyond, -1.0, 2.0] * 5  # whatever moves there
+    for name, asked in ways(made).items():
+        assert np.array_equal(asked(there, 0.5), asked(seen, 0.5)), name
+    jitted = jax.jit(made)
+    assert np.array_equal(jitted(there, 0.5), jitted(seen, 0.5))
+    there[:, 5::3] = beyond  # an open field
+    clear = there.copy()
+    clear[:, 5:] = [7.0, 0.0, 0.0] * observation.RAYS
+    assert np.array_equal(made.action(there, 0.5), made.action(clear, 0.5))
+
+
+@pytest.mark.parametrize("column", [0, 1, 2, 3, 4, 5, 6, 7, 38, 40])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e7, 1e7])
+def test_what_cannot_be_understood_is_refused_and_is_finite_under_jit(column, value):
+    made, seen = scans()
+    seen[0, column] = value
+    ray = (column - 5) % 3 == 0 and column >= 5
+    refused = not (ray and value > 0)
+    for name, asked in ways(made).items():
+        if not refused:
+            assert np.isfinite(asked(seen, 0.5)).all(), name
+            continue
+        with pytest.raises(ValueError, match=re.escape(f" is {value:g};")):
+            asked(seen, 0.5)
+    if refused:
+        with pytest.raises(ValueError, match="can't be understood"):
+            made.action(seen, 0.5)
+    assert np.isfinite(_ACTION(seen, 0.5)).all()
+
+
+_ACTION = jax.jit(lambda seen, lcf: policy.load_policy("macid").action(seen, lcf))
+
+
+def test_a_distance_below_zero_is_no_distance():
+    made, seen = scans()
+    seen[0, 5] = -0.01
+    for asked in ways(made).values():
+        with pytest.raises(ValueError, match="column 5, the distance of ray 0.*-0.01"):
+            asked(seen, 0.0)
+
+
+@pytest.mark.parametrize("lcf", [None, np.nan, 5, -2.001, [0.5, np.inf], "1", 1 + 0j, [[0.0, 0.0]], object()])
+def test_what_is_no_lcf_is_refused(lcf):
+    made, seen = scans()
+    for name, asked in ways(made).items():
+        with pytest.raises(ValueError, match="LCF"):
+            asked(np.repeat(seen, 2, axis=0), lcf)
+        assert np.isfinite(asked(np.repeat(seen, 2, axis=0), [-2.0, 2.0])).all(), name
+    if isinstance(lcf, float | int):
+        assert np.isfinite(_ACTION(seen, jnp.asarray(lcf, jnp.float32))).all()
+
+
+@pytest.mark.parametrize("seen", [0.0, np.zeros(40), np.zeros((3, 42)), ["a"] * 41, [[0.0] * 41, [0.0]], None, {}])
+def test_what_is_no_observation_is_refused(seen):
+    made = make()
+    with pytest.raises(ValueError, match=r"^(An observation|Observations) "):
+        made(seen, 0.0)
+    torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
+    with pytest.raises(ValueError, match=r"^An observation "):
+        made.to_torch()(seen, torch.zeros(()))
+
+
+def test_flags_whole_numbers_lists_and_doubles_are_numbers():
+    made, seen = scans()
+    seen[:] = np.round(seen)
+    expected = made(seen, 1)
+    assert np.isfinite(expected).all()
+    for same in (seen.tolist(), seen.astype(int), seen.astype(float), [[*row[:4].tolist(), bool(row[4]), *row[5:]] for row in seen]):
+        for name, asked in ways(made).items():
+            np.testing.assert_allclose(asked(same, np.int64(1)), expected, atol=1e-5, err_msg=name)
+    assert made(np.zeros((0, observation.SIZE)), 0.0).shape == (0, 2)
+
+
+def test_at_the_goal_and_faster_than_one_can_is_taken_as_it_is():
+    made, seen = scans()
+    seen[0, :2] = 0.0
+    still = made(seen, 0.5)
+    assert np.isfinite(still).all()
+    seen[0, 2:4] = [2.1, -1.7]  # pushed
+    assert np.array_equal(made(seen, 0.5), policy.to_velocity(made.act(seen, np.float32(0.5))))
+    assert not np.array_equal(made(seen, 0.5), still)
+
+
+def test_torch_can_map_and_trace_a_policy():
+    torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
+    made, seen = scans()
+    module, x = made.to_torch(), torch.as_tensor(np.repeat(seen, 3, axis=0))
+    expected = made(seen, 0.5)[0]
+    mapped = torch.func.vmap(module, in_dims=(0, None))(x, torch.tensor(0.5)).detach()
+    np.testing.assert_allclose(mapped, np.tile(expected, (3, 1)), atol=1e-5)
+    traced = torch.jit.trace(module, (x, torch.full((3,), 0.5)))
+    np.testing.assert_allclose(traced(x[:2], torch.full((2,), 0.5)).detach(), np.tile(expected, (2, 1)), atol=1e-5)
+    assert traced(torch.full((2, 41), torch.nan), torch.full((2,), 9.0)).isfinite().all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_weights_that_are_not_finite_are_refused_when_read(tmp_path, value):
+    layers = [tuple(array.copy() for array in layer) for layer in make().layers]
+    layers[1][0][3, 4] = value
+    with pytest.raises(ValueError, match="weight1 holds"):
+        policy.Policy(tuple(layers), {})
+    policy.write_network(tmp_path / "mine", layers, {})
+    with pytest.raises(ValueError, match="mine.npz' is not a policy .*weight1 holds"):
+        policy.load_policy(str(tmp_path / "mine.npz"))

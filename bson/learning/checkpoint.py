@@ -1,0 +1,173 @@
+"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run code."""
+
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+import torch
+
+from macid.learning.curves import check_arrays
+from macid.policy import check_layers
+
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam keeps of each parameter
+_VARIABLES = ("log_ent_coef", "ent_coef_tensor")  # SAC's tensors beside its networks
+_Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
+
+
+class _Replay(msgspec.Struct):
+    pos: _Count
+    full: bool
+
+
+class _Numpy(msgspec.Struct):
+    """numpy.random's state beside its 624 words."""
+
+    pos: Annotated[int, msgspec.Meta(ge=0, le=624)]
+    has_gauss: Annotated[int, msgspec.Meta(ge=0, le=1)]
+    gauss: float
+
+
+class _Best(msgspec.Struct):
+    output: Literal["clip", "tanh"]
+    steps: _Count
+    validation: dict[str, float]
+
+
+class _Keeper(msgspec.Struct):
+    curve: list[dict[str, float]]
+    validations: list[dict[str, float]]
+    best: _Best | None
+    spent: Annotated[float, msgspec.Meta(ge=0)]
+
+
+class Noted(msgspec.Struct):
+    """What a checkpoint notes beside its arrays."""
+
+    steps: _Count
+    updates: _Count
+    episodes: _Count
+    rates: dict[str, list[float]]  #: learning rates of each optimiser
+    stepped: list[str]  #: optimisers that have moments
+    replay: _Replay | None
+    numpy: _Numpy
+    keeper: _Keeper
+
+
+def collect(model, keeper):
+    """({name: array}, what to note, as Noted) of a model and of the state of its keeper."""
+    found, rates, stepped = {}, {}, []
+    for name, state in model.get_parameters().items():
+        if "param_groups" not in state:
+            found |= {f"{name}/{key}": tensor.cpu().numpy() for key, tensor in state.items()}
+            continue
+        rates[name] = [float(group["lr"]) for group in state["param_groups"]]
+        if state["state"]:
+            stepped.append(name)
+        for index, moments in state["state"].items():
+            found |= {f"{name}/{index}/{key}": moment.cpu().numpy() for key, moment in moments.items()}
+    found |= {name: tensor.detach().cpu().numpy() for name, tensor in _variables(model).items()}
+    replay, noted_replay = getattr(model, "replay_buffer", None), None
+    if replay is not None:
+        rows = len(replay.observations) if replay.full else replay.pos
+        found |= {f"replay/{name}": getattr(replay, name)[:rows] for name in _REPLAY}
+        noted_replay = {"pos": int(replay.pos), "full": bool(replay.full)}
+    _, words, pos, has_gauss, gauss = np.random.get_state()
+    found |= {"random/torch": torch.get_rng_state().numpy(), "random/numpy": words}
+    best = keeper["best"]
+    if best:
+        for index, (weight, bias) in enumerate(best["layers"]):
+            found |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
+    return found, {
+        "steps": model.num_timesteps,
+        "updates": model._n_updates,
+        "episodes": model._episode_num,
+        "rates": rates,
+        "stepped": stepped,
+        "replay": noted_replay,
+        "numpy": {"pos": int(pos), "has_gauss": int(has_gauss), "gauss": float(gauss)},
+        "keeper": keeper | {"best": best and {name: best[name] for name in ("output", "steps", "validation")}},
+    }
+
+
+def restore(model, found, noted, layers):
+    """Puts a checkpoint's arrays `found` and what it `noted` into a new `model`; returns the state of its keeper.
+
+    layers: such as the keeper's best has. Raises ValueError, before anything is changed, for what is of another model.
+    """
+    parameters, wanted = model.get_parameters(), {}
+    for name, state in parameters.items():
+        if "param_groups" not in state:
+            wanted |= {f"{name}/{key}": tensor.numpy() for key, tensor in state.items()}
+        elif name in noted["stepped"]:
+            for index, tensor in enumerate(_owned(model, name)):
+                whole = tensor.detach().numpy()
+                likes = (np.zeros((), np.float32), whole, whole)
+                wanted |= {f"{name}/{index}/{key}": like for key, like in zip(_MOMENTS, likes, strict=True)}
+    optimizers = {name: state["param_groups"] for name, state in parameters.items() if "param_groups" in state}
+    if {name: len(rates) for name, rates in noted["rates"].items()} != {n: len(groups) for n, groups in optimizers.items()}:
+        raise ValueError("it has other optimisers")
+    wanted |= {name: tensor.detach().numpy() for name, tensor in _variables(model).items()}
+    replay, filled = getattr(model, "replay_buffer", None), noted["replay"]
+    if (replay is None) != (filled is None):
+        raise ValueError("it is of another algorithm: one has a replay buffer")
+    if replay is not None:
+        rows = len(replay.observations) if filled["full"] else filled["pos"]
+        if not filled["pos"] < len(replay.observations):
+            raise ValueError(f"its replay buffer has {filled['pos']} rows of {len(replay.observations)}")
+        wanted |= {f"replay/{name}": getattr(replay, name)[:rows] for name in _REPLAY}
+    wanted |= {"random/torch": torch.get_rng_state().numpy(), "random/numpy": np.random.get_state()[1]}
+    best = noted["keeper"]["best"]
+    if best:
+        if "SNS" not in best["validation"]:
+            raise ValueError("its best policy has no SNS")
+        for index, (weight, bias) in enumerate(layers):
+            wanted |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
+    check_arrays(found, wanted)
+    if best:
+        layers = [(found[f"best/weight{index}"], found[f"best/bias{index}"]) for index in range(len(layers))]
+        check_layers(layers)
+        best = {"layers": layers, **best}
+    try:
+        torch.set_rng_state(torch.from_numpy(found["random/torch"]))
+    except RuntimeError as error:
+        raise ValueError(f"its random numbers are none of torch's: {str(error).splitlines()[0]}") from None
+    held = noted["numpy"]
+    np.random.set_state(("MT19937", found["random/numpy"], held["pos"], held["has_gauss"], held["gauss"]))
+
+    def tensor(name):
+        return torch.from_numpy(found[name].copy())
+
+    for name, state in parameters.items():
+        if "param_groups" not in state:
+            parameters[name] = {key: tensor(f"{name}/{key}") for key in state}
+            continue
+        moments = range(len(_owned(model, name))) if name in noted["stepped"] else ()
+        parameters[name] = {
+            "state": {index: {key: tensor(f"{name}/{index}/{key}") for key in _MOMENTS} for index in moments},
+            "param_groups": [
+                {**group, "lr": rate} for group, rate in zip(state["param_groups"], noted["rates"][name], strict=True)
+            ],
+        }
+    model.set_parameters(parameters, exact_match=True)
+    for name, variable in _variables(model).items():
+        variable.data = tensor(name)
+    if replay is not None:
+        for name in _REPLAY:
+            getattr(replay, name)[:rows] = found[f"replay/{name}"]
+        replay.pos, replay.full = filled["pos"], filled["full"]
+    model.num_timesteps, model._n_updates, model._episode_num = noted["steps"], noted["updates"], noted["episodes"]
+    return noted["keeper"] | {"best": best}
+
+
+def _variables(model):
+    """{name: tensor} of what a model learns or holds beside its networks."""
+    return {name: value for name in _VARIABLES if torch.is_tensor(value := getattr(model, name, None))}
+
+
+def _owned(model, name):
+    """The parameters of the optimiser `name` ("actor.optimizer"), in its order."""
+    owner = model
+    for part in name.split("."):
+        owner = getattr(owner, part)
+    return [parameter for group in owner.param_groups for parameter in group["params"]]

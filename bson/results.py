@@ -1,0 +1,126 @@
+"""results.json as it is read back: bounded, checked against one schema, and consistent in itself."""
+
+import collections
+import unicodedata
+from typing import Annotated, Any
+
+import msgspec
+
+from bson.metrics import METRICS
+from macid.documents import convert, parse, read_bytes, shown
+from macid.files import UsageError
+
+MOST_BYTES = 1 << 28  # an episode has some 1.5 kB, with --paired 3 kB
+MOST_EPISODES, MOST_CELLS = 100_000, 10_000
+_MOST_DEEP = 20  # lists and objects in each other; a configuration has some 5
+_Count = Annotated[int, msgspec.Meta(ge=0)]
+_Name = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
+_Word = Annotated[str, msgspec.Meta(max_length=500)]
+
+
+class _Cell(msgspec.Struct):
+    name: _Name
+    grades: dict[_Name, _Word]
+    config: dict[str, Any]
+
+
+class _Fault(msgspec.Struct):
+    seed: int
+    cell: _Name
+    time: float
+    what: str
+
+
+# An episode: where and what it was, and its metrics, None where one is infinite.
+_Episode = msgspec.defstruct(
+    "_Episode",
+    [
+        ("cell", _Name),
+        ("seed", int),
+        *((metric.name, float | msgspec.UnsetType | None, msgspec.UNSET) for metric in METRICS),
+        ("people", dict[str, list[float | None]] | msgspec.UnsetType, msgspec.UNSET),
+    ],
+)
+
+
+_WHAT = "Name folders of bson evaluate (--out), or their results.json."
+
+
+class Results(msgspec.Struct):
+    """What is read of results.json; what else there is was noted for people."""
+
+    agent: _Name
+    suite: _Name
+    versions: dict[_Name, _Word]
+    summary: dict[_Name, float]
+    intervals: dict[_Name, tuple[float, float]]
+    cells: Annotated[list[_Cell], msgspec.Meta(min_length=1, max_length=MOST_CELLS)]
+    episodes: Annotated[list[_Episode], msgspec.Meta(min_length=1, max_length=MOST_EPISODES)]
+    faults: list[_Fault] = []
+    overrides: dict[_Name, str] = {}
+    suite_digest: _Name | None = None
+    task_digest: _Name | None = None
+    track: list[_Name] | None = None
+    command: str | None = None
+    frozen_seeds: bool = True
+
+
+def read_results(path):
+    """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
+    try:
+        content = parse(path, "results", read_bytes(path, "results", MOST_BYTES), ".json")
+    except UsageError as error:
+        raise UsageError(f"No results in '{path}': {str(error).rstrip('.')}. {_WHAT}") from None
+    missing = [key for key in _NEEDED if not isinstance(content, dict) or key not in content]
+    rows = [] if missing or not isinstance(content["episodes"], list) else content["episodes"]
+    if missing := missing or ["cell" for row in rows if isinstance(row, dict) and "cell" not in row]:
+        raise UsageError(f"'{path}' has no '{missing[0]}': it isn't of this version's bson evaluate. {_WHAT}")
+    _check_form(content, f"results '{path}'")
+    _check_sense(convert(content, Results, f"results '{path}'"), f"results '{path}'")
+    return content
+
+
+_NEEDED = [field.name for field in msgspec.structs.fields(Results) if field.required]
+
+
+def _check_form(content, name):
+    """Raises UsageError for what no page or table can show: what is nested deeply, and text of more than one line."""
+    waiting = [("", content, 0)]
+    while waiting:
+        key, value, depth = waiting.pop()
+        if depth > _MOST_DEEP:
+            raise UsageError(f"{name}, key {shown(key)} is nested too deeply.")
+        if isinstance(value, str):
+            if not value.isprintable() and any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in value):
+                raise UsageError(f"{name}, key {shown(key)}: text of one line is wanted, not {shown(value)}.")
+        elif isinstance(value, dict):
+            waiting += [(key, each, depth + 1) for each in value]
+            waiting += [(f"{key}.{part}" if key else part, each, depth + 1) for part, each in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{key}[{index}]", each, depth + 1) for index, each in enumerate(value)]
+
+
+def _check_sense(found, name):
+    """Raises UsageError where what `found` (Results) says in one place contradicts another."""
+    cells, axes = [cell.name for cell in found.cells], list(found.cells[0].grades)
+    if twice := _twice(cells):
+        raise UsageError(f"{name}, key 'cells': {shown(twice[0])} stands twice.")
+    for index, cell in enumerate(found.cells):
+        if list(cell.grades) != axes or (len(cells) > 1 and not axes):
+            raise UsageError(f"{name}, key 'cells[{index}].grades': the axes {shown(axes or 'of several cells')} are wanted.")
+    known, played = set(cells), set()
+    for key, rows in (("episodes", found.episodes), ("faults", found.faults)):
+        for index, row in enumerate(rows):
+            if row.cell not in known:
+                raise UsageError(f"{name}, key '{key}[{index}].cell': {shown(row.cell)} is none of the cells.")
+            if (row.cell, row.seed) in played:
+                raise UsageError(f"{name}, key '{key}[{index}]': the episode {row.seed} of {shown(row.cell)} stands twice.")
+            played.add((row.cell, row.seed))
+    for metric in found.summary:
+        if metric not in found.intervals:
+            raise UsageError(f"{name}, key 'intervals': {shown(metric)} is missing.")
+
+
+def _twice(names):
+    """Those of `names` that stand there more than once, in order."""
+    return [name for name, count in collections.Counter(names).items() if count > 1]

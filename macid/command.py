@@ -1,0 +1,84 @@
+"""Command lines: their words and numbers are checked here, once for all commands and tools, before any work begins."""
+
+import argparse
+import math
+
+from macid.files import UsageError, one_line
+
+MOST_WORLDS = 65_536  # at once
+MOST_PEOPLE = 10_000
+MOST_SEEDS = 1024  # of a training
+MOST_SEED = 2**63 - 1
+MOST_TRAINING_SEED = 2**32 - 1  # beyond it, generators of random numbers take the remainder or refuse
+MOST_STEPS = 1e12
+MOST_PERIOD = 3600.0  # [s]
+_NAME = 1000  # characters of an agent's name, a file's
+_WORD = 100_000  # of any word: an LCF for each of 2,000 people fits
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, and whose numbers have bounds."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._bounds = {}
+
+    def number(self, flag, kind, least, most, above=False, also="", **more):
+        """Adds the flag `flag`, a number of `kind` int or float, or several, from `least` to `most`; `above`: and not
+        `least`. also: what messages say of it beside its bounds."""
+        action = self.add_argument(flag, type=kind, **more)
+        self._bounds[action.dest] = flag, least, most, above, also
+        return action
+
+    def parse_known_args(self, args=None, namespace=None):
+        """As argparse's; raises UsageError for a number out of bounds."""
+        found, rest = super().parse_known_args(args, namespace)
+        for name, (flag, *bounds) in self._bounds.items():
+            value = getattr(found, name)
+            for one in value if isinstance(value, list) else [value]:
+                if one is not None:
+                    _check(flag, one, *bounds)
+        return found, rest
+
+    def error(self, message):
+        """One line, and exit code 2."""
+        self.exit(2, f"{one_line(f'{self.prog}: error: {message} (help: {self.prog} --help)')}\n")
+
+
+def _check(flag, value, least, most, above, also):
+    if least < value <= most or (value == least and not above):
+        return
+    if not math.isfinite(value):
+        problem = f"a number from {_told(least)} to {_told(most)}"
+    elif value > most:
+        problem = f"at most {_told(most)}"
+    else:
+        problem = f"above {_told(least)}" if above else f"at least {_told(least)}"
+    raise UsageError(f"{flag} must be {problem}{also}, not {_told(value)}.")
+
+
+def _told(number):
+    return f"{number:g}" if isinstance(number, float) else str(number)
+
+
+PERIOD = {"least": 0.0, "most": MOST_PERIOD, "above": True, "also": " and a multiple of the physics step, 0.02 s"}
+
+
+def check_words(words):
+    """Refuses words of a command line that no name, path or value is. Raises UsageError."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise UsageError(f"{ascii(word[:_NAME])} is not UTF-8, as names, paths and values are.") from None
+        if "\0" in word:
+            raise UsageError(f"{ascii(word[:_NAME])} has a null character.")
+        if len(word) > _WORD:
+            raise UsageError(f"A word of the command line has {len(word):,} characters; at most {_WORD:,} are read.")
+
+
+def name(text):
+    """A name or a path on a command line, for argparse."""
+    if not text or len(text) > _NAME:
+        raise argparse.ArgumentTypeError(f"a name has 1 to {_NAME} characters, not {len(text):,}")
+    return text

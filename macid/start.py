@@ -1,0 +1,249 @@
+"""How the commands begin and end as processes: Ctrl-C from the first moment on, and another package in the place of `bson`.
+
+The console scripts begin here. What is imported above all else is there as Python starts, or small, so that Ctrl-C is heard
+before anything that takes long or fails.
+"""
+
+import os
+import signal
+import sys
+
+INTERRUPTED = 130  # exit code after Ctrl-C
+_ANSWER = 1.0  # for which Python may be busy in compiled code, as while XLA compiles, before Ctrl-C ends the process [s]
+_CLEANING = 15.0  # for which what was interrupted may close files and remove what is half written [s]
+_PACKAGE = "bson-macid"
+CURE = (
+    f"Give {_PACKAGE} an environment of its own, without pymongo and bson: python -m venv NEW, then "
+    f"NEW/bin/pip install {_PACKAGE}. In this one: uninstall the other package, then "
+    f"pip install --force-reinstall --no-deps {_PACKAGE} (in a checkout: -e . instead of the name)"
+)
+
+
+class _Interrupts:
+    """What Ctrl-C does to a command: nothing is begun, so it ends at once; from `cleaning_up` on KeyboardInterrupt is
+    raised, so that what is half written goes; within `deferred` it waits for a place to save. A second one ends all."""
+
+    def __init__(self, program):
+        self.program, self.came, self.raised, self.raises, self.worth = program, 0, False, False, None
+
+    def handle(self, signum, frame):
+        """The signal's handler, in the main thread."""
+        if not self.raises or self.raised:
+            self.leave()
+        self.raised = True
+        raise KeyboardInterrupt
+
+    def leave(self):
+        """Ends the process, as a finish with other threads at work can crash."""
+        _flush(sys.stdout)
+        os.write(2, f"{chr(10) if self.raises else ''}{self.program}: interrupted\n".encode())
+        os._exit(INTERRUPTED)
+
+    def watch(self, pipe):
+        """Waits, in a thread, for signals that the main thread does not get to see or does not obey."""
+        from time import sleep
+
+        while signals := os.read(pipe, 64):
+            self.came += signals.count(int(signal.SIGINT))
+            if self.came > 1 or self.came == 1 and not self.waits():
+                sleep(_ANSWER)
+                if self.raised:
+                    sleep(_CLEANING)
+                self.leave()
+        os.close(pipe)
+
+    def waits(self):
+        """Whether something will save and stop by itself."""
+        return self.worth is not None and self.worth()
+
+
+_interrupts = None  # of this process's command
+
+
+def run(program, main):
+    """The exit code of `main()`, the command `program` of this process; Ctrl-C is one line and exit code 130 throughout.
+
+    Does not return after Ctrl-C: threads of MuJoCo and XLA may be at work, and an ordinary end would wait for them or
+    crash.
+    """
+    global _interrupts
+    _open_standard_handles()
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as of a job in the background
+    if _interrupts is not None or ignored:
+        return main()
+    interrupts = _Interrupts(program)
+    try:
+        handler = signal.signal(signal.SIGINT, interrupts.handle)
+    except ValueError:  # not the main thread, which alone is interrupted
+        return main()
+    _interrupts = interrupts
+    from threading import Thread
+
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    Thread(target=interrupts.watch, args=(reading,), daemon=True, name="Ctrl-C").start()
+    wakeup = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    unraisable, sys.unraisablehook = sys.unraisablehook, _unraisable
+    try:
+        code = main()
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        code = INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        signal.set_wakeup_fd(wakeup)
+        sys.unraisablehook = unraisable
+        _interrupts = None
+    if interrupts.raised or code == INTERRUPTED:
+        _flush(sys.stdout)
+        _flush(sys.stderr)
+        os._exit(INTERRUPTED)
+    os.close(writing)
+    return code
+
+
+def _open_standard_handles():
+    """Leads closed standard streams (`2>&-`) to nowhere, so that no file gets their numbers."""
+    for handle in range(3):
+        try:
+            os.fstat(handle)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this
+
+
+def _flush(stream):
+    try:
+        stream.flush()
+    except Exception:  # in whatever state it is, it is left
+        pass
+
+
+def _unraisable(what):
+    """Keeps quiet of a KeyboardInterrupt that Python could not raise where it came, as in a weak reference's callback: the
+    process ends by `_Interrupts.watch`."""
+    if not issubclass(what.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(what)
+
+
+def interrupted():
+    """Whether Ctrl-C was raised in this command. An error that follows is its consequence."""
+    return _interrupts is not None and _interrupts.raised
+
+
+def cleaning_up():
+    """From now on, Ctrl-C is raised as KeyboardInterrupt, as there are files to close and to remove."""
+    if _interrupts is not None:
+        _interrupts.raises = True
+
+
+class deferred:
+    """A context in which Ctrl-C waits for a place where the work can be saved, as long as there is something `worth()` it.
+
+    It gives a function: whether Ctrl-C came, so that the work is to be saved and KeyboardInterrupt raised. A second Ctrl-C
+    is as ever; so is all in another thread than the main one.
+    """
+
+    def __init__(self, worth=lambda: True):
+        self._worth, self._came = worth, False
+
+    def __enter__(self):
+        self._before = signal.getsignal(signal.SIGINT)
+        try:
+            if callable(self._before):
+                signal.signal(signal.SIGINT, self._note)
+        except ValueError:  # not the main thread
+            self._before = None
+        if _interrupts is not None:
+            _interrupts.worth = self._worth
+        return lambda: self._came
+
+    def __exit__(self, *error):
+        if _interrupts is not None:
+            _interrupts.worth = None
+        if callable(self._before):
+            signal.signal(signal.SIGINT, self._before)
+
+    def _note(self, signum, frame):
+        if self._came or not self._worth():
+            self._before(signum, frame)
+        self._came = True
+
+
+def others():
+    """Names of other installed packages that bring a `bson` of their own, as pymongo does."""
+    from importlib import metadata
+
+    found = set()
+    for package in metadata.distributions():
+        name = package.metadata["Name"]
+        if name and name.lower() != _PACKAGE and "\nbson/__init__.py," in f"\n{package.read_text('RECORD') or ''}":
+            found.add(name)
+    return sorted(found)
+
+
+def shadowed():
+    """What is wrong with the package `bson`, in a sentence; None where it is ours. It is not imported."""
+    from importlib.util import find_spec
+    from pathlib import Path
+
+    ours = Path(__file__).resolve().parent.parent / "bson" / "__init__.py"
+    try:
+        spec = find_spec("bson")
+    except ValueError:  # something without a place has that name
+        spec = None
+    origin = spec and spec.origin
+    if not origin and not ours.exists():
+        whose = " and ".join(others())
+        return (
+            f"'{ours}' is missing: {whose + ' has' if whose else 'another package of the name bson, as pymongo, had'} "
+            "that file too, and took it along when it was uninstalled or replaced"
+        )
+    if not origin or not os.path.isfile(origin):
+        return f"Python finds no package bson, though '{ours.parent}' is there"
+    if b"ENVIRONMENTS" in Path(origin).read_bytes():
+        return None
+    whose = " and ".join(others()) or "another package, as pymongo"
+    if os.path.realpath(origin) == str(ours):
+        return f"'{origin}' is not {_PACKAGE}'s any more: {whose} also has a package bson, and overwrote it"
+    return f"bson is '{origin}', of {whose}, which stands before {_PACKAGE}'s in '{ours.parent}'"
+
+
+def bson():
+    """The console script `bson`."""
+    return _whole(run("bson", bson_command))
+
+
+def bson_command():
+    """The command `bson` with this process's words, where `bson` is ours; otherwise what is to be done. Its exit code."""
+    from importlib import import_module, util
+    from pathlib import Path
+
+    problem = shadowed()
+    if problem is None:
+        return import_module("bson.cli").main(sys.argv[1:])
+    file = Path(__file__).resolve().parent.parent / "bson" / "doctor.py"
+    if sys.argv[1:] != ["doctor"] or not file.exists():
+        print(f"bson: error: {problem}. {CURE}.", file=sys.stderr)
+        return 2
+    spec = util.spec_from_file_location("_bson_doctor", file)
+    doctor = util.module_from_spec(spec)
+    spec.loader.exec_module(doctor)
+    return doctor.command()
+
+
+def macid():
+    """The console script `macid`."""
+    return _whole(run("macid", macid_command))
+
+
+def macid_command():
+    """The command `macid` with this process's words. Its exit code."""
+    from macid.cli import main
+
+    return main(sys.argv[1:])
+
+
+def _whole(code):
+    """The exit code of a command whose work is done: Ctrl-C changes nothing any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return code
