@@ -165,7 +165,7 @@ def read_suite(file):
         cells = []
         for combination in itertools.product(*axes):
             key = ", ".join(f"axes.{axis}.{grade}" for axis, grade, _ in combination) or key
-            changes = {key: value for _, _, each in combination for key, value in each.items()}
+            changes = {name: value for _, _, each in combination for name, value in each.items()}
             cells.append(Cell(tuple((axis, grade) for axis, grade, _ in combination), base.replace(**changes)))
     except ValueError as error:
         raise UsageError(f"{called}, key {shown(key)}: {error}") from None
