@@ -280,8 +280,9 @@ def _most_clearance(size, obstacles, region):
     best = 0.0
     for x, y, half_x, half_y, yaw in region:
         low, high = -np.array([half_x, half_y]), np.array([half_x, half_y])
-        for _ in range(5):  # around the best place so far, ever more closely
-            spans = [np.linspace(*ends, max(2, min(60, 2 + int(8 * (ends[1] - ends[0]))))) for ends in zip(low, high, strict=True)]
+        for level in range(4):  # around the best place so far, ever more closely
+            number = [15, 15] if level else np.clip(15 * (high - low), 3, 121).astype(int)
+            spans = [np.linspace(*ends) for ends in zip(low, high, number, strict=True)]
             local = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2)
             places = np.array([x, y]) + geometry.rotate(local, np.array(yaw))
             parts = np.array_split(places, 1 + len(places) * len(boxes) // 1_000_000)
@@ -292,8 +293,6 @@ def _most_clearance(size, obstacles, region):
             middle = local[room.argmax()]
             low = np.maximum(middle - 2 * step, [-half_x, -half_y])
             high = np.minimum(middle + 2 * step, [half_x, half_y])
-            if (high - low <= 0.01).any():
-                break
     return best
 
 
