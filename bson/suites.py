@@ -31,7 +31,9 @@ _Length = Annotated[float, Meta(gt=0, le=1e4, description="a number above 0 and 
 _Period = Annotated[float, Meta(gt=0, le=10, description="a time above 0 and of at most 10 s")]
 _Weight = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Text = Annotated[str, Meta(min_length=1, max_length=1000)]
-_Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}\Z", description="a name of letters, digits, -, _ and .")]
+_Name = Annotated[
+    str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}\Z", description="a name of letters, digits, -, _ and .")
+]
 
 
 class _Config(msgspec.Struct, forbid_unknown_fields=True):

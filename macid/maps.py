@@ -98,7 +98,8 @@ def load_occupancy(file):
     mode = fields.mode.lower()
     if mode not in occupancy.MODES:
         raise UsageError(
-            f"map {shown_path(file)}, key 'mode': it must be one of {', '.join(occupancy.MODES)}, not {shown(fields.mode)}."
+            f"map {shown_path(file)}, key 'mode': it must be one of {', '.join(occupancy.MODES)}, not "
+            f"{shown(fields.mode)}."
         )
     if not fields.free_thresh < fields.occupied_thresh:
         raise UsageError(
@@ -111,7 +112,8 @@ def load_occupancy(file):
     try:
         solid = occupancy.solid_cells(image, mode, fields.negate, fields.free_thresh)
         size, boxes = _boxes(solid, fields.resolution, fields.origin[2])
-        return Layout(size, boxes, routed=True, name=file.stem)
+        name = "".join(letter if letter.isprintable() else "?" for letter in file.stem)
+        return Layout(size, boxes, routed=True, name=name)
     except ValueError as error:
         raise UsageError(f"map {shown_path(file)}: {error}") from None
 
