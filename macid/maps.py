@@ -159,7 +159,7 @@ def rectangles(solid, resolution):
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
     more than MAX_BOXES, they are merged (macid.cover.merged), so that some free cells are covered, too. Raises
-    ValueError where that leaves no room.
+    ValueError where that leaves people no room to go, and there was some.
     """
     rows, columns = solid.shape
     side = max(rows, columns)
@@ -175,10 +175,10 @@ def _rectangles(solid, resolution):
     if len(found) <= MAX_BOXES:
         return found
     merged = cover.merged(solid, resolution, MAX_BOXES)
-    if not cover.leaves_room(solid, merged):
+    if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave no room. "
-            "Smooth it, or lower its resolution."
+            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
+            "to go. Smooth it, or lower its resolution."
         )
     return merged
 

@@ -83,8 +83,14 @@ def test_a_map_that_merging_would_fill_is_told_with_its_file(tmp_path):
     board = np.indices((100, 100)).sum(axis=0) % 2
     cv2.imwrite(str(tmp_path / "noise.png"), np.where(board, 0, 254).astype(np.uint8))
     (tmp_path / "noise.yaml").write_text("image: noise.png\nresolution: 1.0\n")
-    with pytest.raises(ValueError, match=r"noise.yaml.*needs [\d,]+ boxes.*leave no room"):
+    with pytest.raises(ValueError, match=r"noise.yaml.*needs [\d,]+ boxes.*leave nobody room"):
         maps.load_map(str(tmp_path / "noise.yaml"))
+
+
+def test_noise_among_which_nobody_could_go_is_merged_all_the_same():
+    solid = np.random.default_rng(0).random((200, 200)) < 0.3
+    boxes = maps.rectangles(solid, 0.05)
+    assert 0 < len(boxes) <= maps.MAX_BOXES
 
 
 @pytest.mark.slow
