@@ -341,11 +341,12 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
     folders = [training_folder(pathlib.Path(out) / f"{each.name}-{each.seed}", each, resume) for each in configs]
+    saved = read_checkpoint(folders[0], _Noted)
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if saved := _read(folders[0], configs, states):
-        states, curves, spent = saved
+    if saved:
+        states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
 
     def save():
@@ -410,14 +411,10 @@ class _Noted(msgspec.Struct):
     seconds: float
 
 
-def _read(folder, configs, like):
-    """(states, curves, seconds) of the checkpoint in `folder` of a training of `configs`; None where there is none.
-
-    like: states of that training. Raises UsageError.
-    """
-    if not (saved := read_checkpoint(folder, _Noted)):
-        return None
-    (found, noted), path, wanted = saved, folder / CHECKPOINT, _named(like)
+def _restored(found, noted, path, configs, like):
+    """(states, curves, seconds) of the arrays `found` and what was `noted` in the checkpoint `path` of a training of
+    `configs`. like: states of that training. Raises UsageError."""
+    wanted = _named(like)
     if noted["configs"] != [plain(each) for each in configs]:
         raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
     try:
