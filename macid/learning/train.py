@@ -402,11 +402,12 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
     """`train`, of `configs` in the folders `paths`, which are locked."""
     config, seeds = configs[0], len(configs)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
+    saved = read_checkpoint(folders[0], _Noted)
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if saved := _read(folders[0], configs, states):
-        states, curves, spent = saved
+    if saved:
+        states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
 
     def save():
@@ -478,14 +479,10 @@ class _Noted(msgspec.Struct):
     seconds: float
 
 
-def _read(folder, configs, like):
-    """(states, curves, seconds) of the checkpoint in `folder` of a training of `configs`; None where there is none.
-
-    like: states of that training. Raises UsageError.
-    """
-    if not (saved := read_checkpoint(folder, _Noted)):
-        return None
-    (found, noted), path, wanted = saved, folder / CHECKPOINT, _named(like)
+def _restored(found, noted, path, configs, like):
+    """(states, curves, seconds) of the arrays `found` and what was `noted` in the checkpoint `path` of a training of
+    `configs`. like: states of that training. Raises UsageError."""
+    wanted = _named(like)
     if noted["configs"] != [plain(each) for each in configs]:
         raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
     try:

@@ -3,6 +3,7 @@ import dataclasses
 import importlib.util
 import json
 import os
+import pickle
 import subprocess
 import sys
 
@@ -11,8 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from macid.files import UsageError
 from macid.layout import clearance, load_level
-from macid.learning import methods, ppo
+from macid.learning import curves, methods, ppo
+from macid.learning import train as train_module
 from macid.learning.curves import completed, plain
 from macid.learning.train import PRESETS, TrainConfig, Trainer, preset, train
 from macid.observation import SIZE
@@ -405,3 +408,71 @@ def test_both_engines_train_to_the_same_curve():
     assert native[-4:].mean() > native[:4].mean()  # it learns
     noise = np.maximum(native.std(axis=1), 0.02)
     assert (np.abs(native.mean(axis=1) - mjx.mean(axis=1)) < 4 * noise).all()
+
+
+class Bomb:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def test_a_damaged_training_is_told_and_no_pickle_is_read(tmp_path):
+    quiet = {"show": lambda line: None, "resume": True}
+    folder = tmp_path / f"{TINY.name}-0"
+    trainer = Trainer(dataclasses.replace(TINY, method="copo"))
+    states, begin = trainer.init_seeds([1]), trainer.init_seeds([0])
+    states = states._replace(iteration=states.iteration + 1)
+    curve = [{"agent_steps": 500, "reward": 0.1}]
+    config = dataclasses.replace(TINY, method="copo")
+    noted = {"configs": [curves.plain(config)], "curves": [curve], "seconds": 1.5}
+    named = train_module._named(states)
+    curves.write_checkpoint(tmp_path, named, noted)
+
+    def restored():
+        saved = curves.read_checkpoint(tmp_path, train_module._Noted)
+        return train_module._restored(*saved, tmp_path / curves.CHECKPOINT, [config], begin)
+
+    read, curve_read, seconds = restored()
+    assert same(*(jax.tree.map(train_module._keep, each) for each in (states, read))) and (curve_read, seconds) == ([curve], 1.5)
+    assert jax.tree.structure(read) == jax.tree.structure(states)
+    some = next(name for name in named if "policy" in name)
+    for arrays_now, noted_now, told in (
+        ({**named, some: named[some][..., :-1]}, noted, "has float32"),
+        ({name: each for name, each in named.items() if name != some}, noted, "is missing"),
+        (named, {**noted, "curves": [curve * 2]}, "not as long as the training"),
+        (named, {**noted, "curves": [[{"reward": "high"}]]}, "curves"),
+        (named, {**noted, "seconds": None}, "seconds"),
+    ):
+        curves.write_checkpoint(tmp_path, arrays_now, noted_now)
+        with pytest.raises(UsageError, match=f"checkpoint.npz' is damaged .*{told}.*: delete it to begin anew"):
+            restored()
+    folder.mkdir()
+    bomb = pickle.dumps(Bomb(tmp_path / "ran"))
+    for name, content, told in (
+        ("checkpoint.npz", bomb, "checkpoint.npz' is damaged .*: delete it"),
+        ("checkpoint.npz", b"", "checkpoint.npz' is damaged .*: delete it"),
+        ("checkpoint.pkl", bomb, "checkpoint.pkl' is of an earlier version .* Delete it"),
+        ("config.json", b"", "config.json.*delete the folder, or use another --out"),
+    ):
+        for file in folder.iterdir():
+            file.unlink()
+        (folder / "checkpoint.npz").write_bytes(content)
+        (folder / "checkpoint.npz").rename(folder / name)
+        if name == "config.json":
+            (folder / "policy.json").write_bytes(b"{}")
+        with pytest.raises(UsageError, match=told) as caught:
+            train(TINY, tmp_path, **quiet)
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.slow
+def test_a_training_that_diverges_is_told(tmp_path):
+    config = dataclasses.replace(TINY, ppo=dataclasses.replace(TINY.ppo, learning_rate=1e38))
+    with pytest.raises(FloatingPointError, match="diverged at iteration [12]: the .* is (nan|inf)"):
+        train(config, tmp_path, show=lambda line: None)
+    assert not list(tmp_path.glob("*/policy.npz"))
