@@ -3,9 +3,9 @@
     tools/reproduce_tables.py --policies assets/policies --out tables
 
 Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
-knob.md (how each policy's LCF works, on these and on maps of other kinds), figure2.png and figure2.csv. Policies that are not in the folder are trained to OUT/runs; each evaluation is kept in
-OUT/rows; so a stopped run goes on where it was. A method's figures are the mean over its seeds and their (sample)
-standard deviation.
+knob.md (how each policy's LCF works, on these and on maps of other kinds), figure2.png and figure2.csv. Policies that
+are not in the folder are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it
+was. A method's figures are the mean over its seeds and their (sample) standard deviation.
 """
 
 import argparse

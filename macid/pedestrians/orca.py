@@ -152,11 +152,12 @@ class ORCA:
     horizon is short, as walls don't turn towards anybody and a body stops within
     centimetres; it makes the approach speed to a wall (gap / horizon), and goals may lie close to walls.
 
-    Three or more who meet from all sides lock all the same, as does who faces a wall: each permits the others only to
-    stand. So who would get on towards its goal at less than `blocked` of its preferred speed asks for a velocity turned to
-    the right by the first of `detours` instead, and who would hardly move by that either, by the next. People who lock
-    walk around each other, as on a roundabout, until their goals lie ahead; nobody else's step changes. (RVO2's examples
-    turn everybody's preferred velocity by a tiny random angle, which doesn't undo a lock.)
+    Three or more who meet from all sides lock all the same: each permits the others only to stand. So whom other people
+    let get on towards its goal at less than `blocked` of its preferred speed, though boxes would let it, asks for a
+    velocity turned to the right by the first of `detours` instead, and who would hardly move by that either, by the next.
+    People who lock walk around each other, as on a roundabout, until their goals lie ahead; nobody else's step changes,
+    and who faces a wall stands, as before. (RVO2's examples turn everybody's preferred velocity by a tiny random angle,
+    which doesn't undo a lock.)
     """
 
     period: float = 0.02  #: between two decisions [s]
@@ -195,7 +196,9 @@ class ORCA:
         """
         chosen = best_velocity(normal, offset, hard, preferred, self.max_speed)
         speed = norm(preferred)
-        blocked = (_dot(chosen, unit(preferred)) < self.blocked * speed) & (speed > STANDING)
+        among_boxes, _ = closest_permitted(normal[:, :hard], offset[:, :hard], preferred, self.max_speed)
+        slowed, walled = (_dot(v, unit(preferred)) < self.blocked * speed for v in (chosen, among_boxes))
+        blocked = slowed & ~walled & (speed > STANDING)
         for angle in self.detours:
             asked = rotate(preferred, jnp.full_like(speed, -angle))
             limits = jnp.where(blocked[:, None], offset, NO_LIMIT)  # so the others cost nothing
