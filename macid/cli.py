@@ -156,7 +156,8 @@ def parser():
         type=_level,
         nargs="+",
         default=[1, 2, 3, 4],
-        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation",
+        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation; or a map of another kind: "
+        "big-boxes, small-boxes, foyer, crossroads, furnished, crowded",
     )
     evaluate.add_argument("--episodes", type=int, default=5, help="episodes a level")
     evaluate.add_argument("--seed", type=int, default=0)
@@ -171,7 +172,7 @@ def parser():
 
     watch = commands.add_parser("watch", help="film a crowd", formatter_class=HelpFormatter)
     watch.add_argument("--pedestrian", default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
-    watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
+    watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     watch.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
@@ -190,7 +191,7 @@ def parser():
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
-    train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
+    train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.add_argument("--seed", type=int, default=0, help="the first seed")
     train.add_argument("--seeds", type=int, default=1, help="how many, at once")
     train.add_argument("--worlds", type=int, default=16, help="crowds at once")
