@@ -35,7 +35,6 @@ BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
 TABLES = ("table2", "periods", "table1", "knob")  # table2: with walking.md and Fig. 2
-KNOB_PEOPLE = 100  # people in all episodes of a section together, on every map, where a policy's knob is measured
 MIXED = 2  # times as many episodes of mixed crowds, whose people are of all sections
 RULES = ("social-force", "social-force-progress", "social-force-bodies", "orca")
 
@@ -113,16 +112,15 @@ def evaluated(rows, file, level, lcf, episodes):
     return kept(rows, file, level, [plain(config), episodes], play)
 
 
-def knob(rows, file, level):
+def knob(rows, file, level, episodes):
     """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
-    config = CrowdConfig(period=usual_period(str(file)))
-    episodes = max(1, round(KNOB_PEOPLE / load_level(level).pedestrians))
+    config, mixed = CrowdConfig(period=usual_period(str(file))), MIXED * episodes
 
     def play():
         print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
-        return measure_knob(str(file), level, episodes, MIXED * episodes, config=config)
+        return measure_knob(str(file), level, episodes, mixed, config=config)
 
-    return kept(rows, file, level, ["knob", plain(config), episodes, MIXED], play)
+    return kept(rows, file, level, ["knob", plain(config), episodes, mixed], play)
 
 
 def kept(rows, file, level, settings, play):
@@ -280,7 +278,9 @@ def run(args):
         write("table1.md", _table1(turned, policies, tabled))
     if "knob" in args.tables and turned:
         levels = LEVELS + OTHER_LEVELS
-        by_method = {m: [[knob(rows, file, level) for level in levels] for file in policies[m]] for m in turned}
+        by_method = {
+            m: [[knob(rows, file, level, args.episodes) for level in levels] for file in policies[m]] for m in turned
+        }
         lines = [line for figure in KNOB for line in ["", *knob_table(figure, by_method, levels)]]
         write("knob.md", lines[1:])
     return 0

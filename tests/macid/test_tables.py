@@ -91,13 +91,6 @@ def test_the_knob_is_told_of_each_seed_and_level_with_the_range(made_up, monkeyp
     assert own.splitlines()[2].split(" | ")[1] == "-0.90"  # 6 5 4 3 2 3: of the two equal ones each has the mean rank
 
 
-def test_as_many_people_are_asked_on_every_map_where_a_knob_is_measured(made_up, monkeypatch):
-    folder, _ = made_up
-    for level, episodes in (("foyer", 2), (1, 4), (4, 1)):
-        (found,) = [tables.knob(folder, folder / "macid-0.npz", level)]
-        assert (found["episodes"], found["mixed"]) == (episodes, tables.MIXED * episodes)
-
-
 def test_policies_of_another_recipe_are_left_out_and_the_missing_seeds_trained(made_up, monkeypatch, capsys):
     folder, _ = made_up
     recipe = json.loads((folder / "macid-1.json").read_text())
