@@ -389,6 +389,10 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
     something to keep. Raises ValueError if it is another configuration's or another process trains there,
     FloatingPointError if the training diverges.
+
+    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over a
+    batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
+    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of two.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
     paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
