@@ -205,15 +205,16 @@ class BsonEnv(_Specified, gymnasium.Env):
         """Begins an episode; see the class."""
         seed = plain_seed(seed)
         super().reset(seed=seed)
-        self._session.configure(_episode_config(self.config, self._track, _episode_options(options)))
-        self.metadata = {**self.metadata, "render_fps": _frames_per_second(self._session.config)}
-        seed = self._first_seed if seed is None else seed
+        config = _episode_config(self.config, self._track, _episode_options(options))
+        with self._session.setting(config):
+            seed = self._first_seed if seed is None else seed
+            if seed is not None:
+                self._session.reseed([0], [seed])
+            else:
+                (seed,) = self._session.next_seeds([0])
+            observation = self._session.reset([0], [seed])
         self._first_seed = None
-        if seed is not None:
-            self._session.reseed([0], [seed])
-        else:
-            (seed,) = self._session.next_seeds([0])
-        observation = self._session.reset([0], [seed])
+        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
         if self.render_mode is not None:
             self._close_film()
             self._recorder = Recorder(self._session, 0)
@@ -257,7 +258,8 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled".
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". stable-baselines3 takes it as
+    `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
     metadata = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -311,9 +313,9 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
         options = _episode_options(options)
         mask = options.pop("reset_mask", None)
         seed = plain_seed(seed)
+        config, ids = self._session.config, self._all
         if mask is None:
-            ids = self._all
-            self._session.configure(_episode_config(self.config, self._session.track, options))
+            config = _episode_config(self.config, self._session.track, options)
         else:
             if options:
                 raise ValueError("Options other than reset_mask are for a reset of all worlds.")
@@ -325,14 +327,16 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
                 raise gymnasium.error.ResetNeeded("Reset all worlds before some of them.")
         if seed is None and self._first_seed is not None:
             seed = self._first_seed
-        self._first_seed = None
         given = self._seeds(seed)
-        for index in ids:
-            if given[index] is not None:
-                self._session.reseed([index], [given[index]])
-        seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
-        self._session.reset(ids, seeds)
+        with self._session.setting(config):
+            for index in ids:
+                if given[index] is not None:
+                    self._session.reseed([index], [given[index]])
+            seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
+            self._session.reset(ids, seeds)
+        self._first_seed = None
         self._ended[ids] = False
+        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
         return self._session.observe(self._all), self._infos(self._all)
 
     def step(self, actions):

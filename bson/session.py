@@ -65,6 +65,19 @@ class Session:
         self._worlds[key] = world
         self.config, self._world = config, world
 
+    @contextlib.contextmanager
+    def setting(self, config):
+        """`configure`, taken back, with the seeds' streams, where what happens within raises: episodes then go on."""
+        before, streams = self.config, list(self._streams)
+        self.configure(config)
+        try:
+            with self.whole():
+                yield
+        except BaseException:
+            self.configure(before)
+            self._streams = streams
+            raise
+
     def close(self):
         """Frees the worlds; closing twice does no harm."""
         for world in (self._worlds or {}).values():

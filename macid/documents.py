@@ -5,6 +5,7 @@ Whatever is wrong with one is a UsageError of one line that names the file, the 
 
 import json
 import math
+import numbers
 import pathlib
 import re
 import tomllib
@@ -24,6 +25,11 @@ def shown(value):
     text = repr(value)
     text = text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
     return text.encode("ascii", "backslashreplace").decode()
+
+
+def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
+    """Whether `value`, Python's or NumPy's, is a number from `least` to `most`, so neither NaN nor infinite nor a bool."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and bool(least <= value <= most)
 
 
 def read_bytes(path, what, most=MOST_BYTES):
