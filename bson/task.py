@@ -1,6 +1,7 @@
 """What is asked of the robot, and among whom: the task's configuration, and the spawning of an episode."""
 
 import dataclasses
+import functools
 import typing
 
 import numpy as np
@@ -46,8 +47,6 @@ class TaskConfig:
     robot: RobotConfig | str = JACKAL.config  # a name or file (bson.robot), or a dict of numbers changed
 
     def __post_init__(self):
-        from macid.pedestrians import make_controller
-
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
         if max(map(abs, self.lcf)) > MAX_LCF:
             raise ValueError(f"lcf must lie in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
@@ -101,7 +100,7 @@ class TaskConfig:
             check_values(self.robot, _tell_robot)
         object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
-            make_controller(name, self.decision_period)
+            controller(name, self.decision_period)
 
     @property
     def model_shares(self):
@@ -157,6 +156,20 @@ class TaskConfig:
 
 def _tell_robot(key, problem):
     raise ValueError(f"robot{f', key {shown(key)}' if key else ''}: {problem}.")
+
+
+def controller(name, period):
+    """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
+    from macid.pedestrians import make_controller
+
+    return make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
+
+
+@functools.lru_cache(64)
+def _shipped_controller(name, period):
+    from macid.pedestrians import make_controller
+
+    return make_controller(name, period)
 
 
 def _is_whole(value):

@@ -23,11 +23,10 @@ import numpy as np
 
 from bson import robot
 from bson.renderer import Renderer
-from bson.task import TaskConfig, spawn, stops, ways_checker
+from bson.task import TaskConfig, controller, spawn, stops, ways_checker
 from macid import forks, geometry, layout, physics, scene
 from macid.documents import shown
 from macid.maps import load_map
-from macid.pedestrians import make_controller
 from macid.routing import occupancy_grid
 from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState, parking_place
 
@@ -225,7 +224,7 @@ class World:
     def configure(self, config: TaskConfig):
         """Goes on in the setting `config`, which must have this world's structure; each world needs a reset then."""
         every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
-        controllers = tuple(make_controller(name, config.decision_period) for name in config.model_shares)
+        controllers = tuple(controller(name, config.decision_period) for name in config.model_shares)
         self.config, self._every, self._controllers = config, every, controllers
 
     def __deepcopy__(self, memo):
