@@ -325,9 +325,14 @@ def _agents_extra():
 
 def _train(args):
     with _agents_extra():
-        from bson.learning.train import TrainConfig, train_with_bar
+        from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, train_with_bar
 
-    config = TrainConfig(args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds)
+    if args.algo not in ALGORITHMS:
+        raise UsageError(f"Unknown algorithm '{args.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
+    hyperparameters = PRESETS[args.preset][args.algo]
+    config = TrainConfig(
+        args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
+    )
     start.cleaning_up()
     folder = train_with_bar(config, args.out, args.resume)
     print(
@@ -484,6 +489,9 @@ def parser():
     )
     train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="at once")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0)
+    train.add_argument(
+        "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
+    )
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")

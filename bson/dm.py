@@ -2,23 +2,45 @@
 
 import os
 import platform
-
-if platform.system() == "Linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # dm_control would try GLFW first, which needs a display
+import sys
 
 import dm_env
 import mujoco
 import numpy as np
-from dm_control.mujoco import Physics
-from dm_control.mujoco.wrapper.core import MjModel
 from dm_env import specs
 
-from bson.env import ACTION_SPACE, check_seed, first
+from bson.env import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.drawing import close_before_all_else
 
+
+def _import_dm_control():
+    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL is
+    missing, without pictures. (It would try GLFW first, which needs a display.)"""
+
+    def wanted():
+        from dm_control.mujoco import Physics
+        from dm_control.mujoco.wrapper.core import MjModel
+
+        return Physics, MjModel
+
+    if platform.system() != "Linux" or os.environ.get("DISPLAY") or os.environ.get("MUJOCO_GL"):
+        return wanted()
+    os.environ["MUJOCO_GL"] = "egl"
+    try:
+        return wanted()
+    except Exception:  # without EGL it fails in as many ways as there are incomplete graphics libraries
+        for name in [name for name in sys.modules if name.partition(".")[0] == "dm_control"]:
+            del sys.modules[name]
+        os.environ["MUJOCO_GL"] = "off"  # dm_control reads it when it is imported
+        found = wanted()
+        del os.environ["MUJOCO_GL"]
+        return found
+
+
+Physics, MjModel = _import_dm_control()
 close_before_all_else()  # dm_control has an EGL of its own, which it ends at exit
 
 
@@ -31,20 +53,41 @@ def load(track="local", sensor="lidar2d", seed=None, **config):
     return Environment(TaskConfig().replace(**config), make_track(track, sensor), seed)
 
 
-class Environment(dm_env.Environment):
+class Environment(Rebuilt, dm_env.Environment):
     """One world. Observations, actions and rewards are those of `bson.env.BsonEnv`, which has them as tables.
 
     The discount is 0 at the goal, and 1 at the horizon, where the episode is cut off.
     """
 
     def __init__(self, config: TaskConfig, track, seed=None):
-        check_seed(seed)
+        self._arguments = {"config": config, "track": track, "seed": seed}
+        seed = plain_seed(seed)
         self._session, self._track, self._seed = Session(config, track, seeds=[seed]), track, seed
         self._over = True
-        world = self._session.world
-        self.physics = Physics.from_model(MjModel(world.scene))
+        self._make_physics()
+
+    _not_copied = ("physics",)
+
+    def _make_physics(self):
+        self.physics = Physics.from_model(MjModel(self.world.scene))
         # The batch has computed the sensors already; its readings are copied.
         self.physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+
+    def __deepcopy__(self, memo):
+        made = super().__deepcopy__(memo)
+        if self.physics is not None:
+            made._make_physics()
+            if self.world.begun([0]):
+                made._mirror()
+                np.copyto(made.physics.data.sensordata, self.physics.data.sensordata)
+        return made
+
+    def close(self):
+        """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
+        if self.physics is not None:
+            self.physics.free()
+        self.physics = None
+        self._session.close()
 
     @property
     def world(self):
@@ -63,7 +106,7 @@ class Environment(dm_env.Environment):
         """One control step under `action` (2,) in [-1, 1]; after an episode's last step, the next episode's first."""
         if self._over:
             return self.reset()
-        action = np.asarray(action, dtype=float)
+        action = checked_action(action, (2,))
         self.action_spec().validate(action.astype(ACTION_SPACE.dtype))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         self._mirror()

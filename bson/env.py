@@ -1,12 +1,17 @@
 """Gymnasium environments: one world, or many at once on one batch. Both are thin over `Session`."""
 
+import copy
+import dataclasses
+
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from bson.session import Recorder, Session
 from bson.task import TaskConfig
-from bson.tracks import make_track
+from bson.tracks import make_track, sensor_documents
+from bson.world import check_worlds
+from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -17,8 +22,12 @@ def _check_render_mode(render_mode):
         raise ValueError(f"Unknown render_mode {render_mode!r}. Choose None or 'rgb_array'.")
 
 
-def _checked_action(action, shape):
-    action = np.asarray(action, dtype=float)
+def checked_action(action, shape):
+    """`action` as floats of `shape`. Raises ValueError for what are no finite numbers of that shape."""
+    try:
+        action = np.asarray(action, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"An action must have shape {shape}, of numbers: {error}") from None
     if action.shape != shape:
         raise ValueError(f"An action must have shape {shape}, not {action.shape}.")
     if not np.isfinite(action).all():
@@ -34,10 +43,16 @@ def check_seed(seed):
             raise ValueError(f"A seed must be a whole number from 0 to 2**62 - 1, not {one!r}.")
 
 
+def plain_seed(seed):
+    """`seed` as a Python int where it is one of NumPy's. Raises ValueError as check_seed does."""
+    check_seed(seed)
+    return int(seed) if isinstance(seed, np.integer) else seed
+
+
 def _episode_options(options):
-    """A copy of a reset's options, which may be None. Raises ValueError for what is no dict."""
-    if options is not None and not isinstance(options, dict):
-        raise ValueError(f"options must be a dict of TaskConfig's fields, not {options!r}.")
+    """A copy of a reset's options, which may be None. Raises ValueError for what is no dict with names for keys."""
+    if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
+        raise ValueError(f"options must be a dict of TaskConfig's fields by name, not {shown(options)}.")
     return dict(options or {})
 
 
@@ -52,7 +67,65 @@ def _episode_config(config, track, options):
     return changed
 
 
-class BsonEnv(gymnasium.Env):
+def _frames_per_second(config):
+    """Of a film of what happens in `config`, as fast as it happens."""
+    fps = 1.0 / config.control_period
+    return round(fps) if abs(fps - round(fps)) < 1e-6 else fps
+
+
+def _document(value):
+    """`value`, an argument of `make`, as JSON has it; what comes of it is taken for the same argument."""
+    if dataclasses.is_dataclass(value):
+        value = dataclasses.asdict(value)
+    if isinstance(value, dict):
+        return {name: _document(each) for name, each in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_document(each) for each in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _rebuilt(kind, arguments):
+    return kind(**arguments)
+
+
+class Rebuilt:
+    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play on
+    equally; what it draws with is left out."""
+
+    _not_copied = ()
+
+    def __reduce__(self):
+        return _rebuilt, (type(self), self._arguments), {"_spec": getattr(self, "_spec", None)}
+
+    def __deepcopy__(self, memo):
+        made = memo[id(self)] = object.__new__(type(self))
+        for name, value in vars(self).items():
+            setattr(made, name, None if name in self._not_copied else copy.deepcopy(value, memo))
+        return made
+
+
+class _Specified(Rebuilt):
+    """Gymnasium's spec of an environment, with arguments that JSON can have."""
+
+    _spec = None
+
+    @property
+    def spec(self):
+        """The EnvSpec that it was made by, or None."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec):
+        if spec is not None:
+            kwargs = {name: _document(value) for name, value in spec.kwargs.items() if name != "sensor"}
+            if "sensor" in spec.kwargs:
+                kwargs["sensor"] = sensor_documents(spec.kwargs["sensor"])
+            spec = copy.copy(spec)
+            spec.kwargs = kwargs
+        self._spec = spec
+
+
+class BsonEnv(_Specified, gymnasium.Env):
     """A robot, the Jackal if `robot` names no other, drives to a goal among pedestrians (paper, sec. VI).
 
     ## Action
@@ -107,12 +180,15 @@ class BsonEnv(gymnasium.Env):
     """
 
     metadata = _METADATA
+    _not_copied = ("_film",)
 
     def __init__(self, track="local", sensor="lidar2d", render_mode=None, seed=None, **config):
         _check_render_mode(render_mode)
-        check_seed(seed)
+        self._arguments = {"track": track, "sensor": sensor, "render_mode": render_mode, "seed": seed, **config}
+        seed = plain_seed(seed)
         self.render_mode = render_mode
         self.config = TaskConfig().replace(**config)
+        self.metadata = {**self.metadata, "render_fps": _frames_per_second(self.config)}
         self._track = make_track(track, sensor)
         self._session = Session(self.config, self._track, seeds=[seed])
         self._first_seed = seed
@@ -127,23 +203,26 @@ class BsonEnv(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         """Begins an episode; see the class."""
-        check_seed(seed)
+        seed = plain_seed(seed)
         super().reset(seed=seed)
-        self._session.configure(_episode_config(self.config, self._track, _episode_options(options)))
-        seed = self._first_seed if seed is None else seed
+        config = _episode_config(self.config, self._track, _episode_options(options))
+        with self._session.setting(config):
+            seed = self._first_seed if seed is None else seed
+            if seed is not None:
+                self._session.reseed([0], [seed])
+            else:
+                (seed,) = self._session.next_seeds([0])
+            observation = self._session.reset([0], [seed])
         self._first_seed = None
-        if seed is not None:
-            self._session.reseed([0], [seed])
-        else:
-            (seed,) = self._session.next_seeds([0])
-        observation = self._session.reset([0], [seed])
+        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
         if self.render_mode is not None:
-            self._recorder, self._film = Recorder(self._session, 0), None
+            self._close_film()
+            self._recorder = Recorder(self._session, 0)
         return first(observation), self._info()
 
     def step(self, action):
         """One control step; see the class."""
-        action = _checked_action(action, (2,))
+        action = checked_action(action, (2,))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         if self.render_mode is not None:
             self._recorder.snap()
@@ -159,16 +238,28 @@ class BsonEnv(gymnasium.Env):
             self._film = Film(self.world.scene)
         return self._film.frame(self._recorder.episode(), -1)
 
+    def close(self):
+        """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
+        self._close_film()
+        self._recorder = None
+        self._session.close()
+
+    def _close_film(self):
+        if self._film is not None:
+            self._film.close()
+        self._film = None
+
     def _info(self):
         return {name: value[0] for name, value in self._session.info([0]).items()}
 
 
-class BsonVectorEnv(gymnasium.vector.VectorEnv):
+class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
     """`num_envs` worlds of `BsonEnv` on one MuJoCo batch, threaded by MuJoCo itself; no subprocesses.
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled".
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". stable-baselines3 takes it as
+    `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
     metadata = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -186,13 +277,15 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
     ):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, not {num_envs}.")
-        check_seed(seed)
+        check_worlds("num_envs", num_envs)
+        self._arguments = {"num_envs": num_envs, "track": track, "sensor": sensor, "seed": seed, "nthread": nthread}
+        self._arguments |= {"autoreset_mode": autoreset_mode, **config}
+        seed = plain_seed(seed)
         self.num_envs, self.render_mode = num_envs, None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.config = TaskConfig().replace(**config)
+        fps = _frames_per_second(self.config)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode, "render_fps": fps}
         track = make_track(track, sensor)
         self._first_seed = seed
         self._session = Session(self.config, track, num_envs, self._seeds(seed), nthread)
@@ -219,10 +312,10 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
         """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
         options = _episode_options(options)
         mask = options.pop("reset_mask", None)
-        check_seed(seed)
+        seed = plain_seed(seed)
+        config, ids = self._session.config, self._all
         if mask is None:
-            ids = self._all
-            self._session.configure(_episode_config(self.config, self._session.track, options))
+            config = _episode_config(self.config, self._session.track, options)
         else:
             if options:
                 raise ValueError("Options other than reset_mask are for a reset of all worlds.")
@@ -234,36 +327,44 @@ class BsonVectorEnv(gymnasium.vector.VectorEnv):
                 raise gymnasium.error.ResetNeeded("Reset all worlds before some of them.")
         if seed is None and self._first_seed is not None:
             seed = self._first_seed
-        self._first_seed = None
         given = self._seeds(seed)
-        for index in ids:
-            if given[index] is not None:
-                self._session.reseed([index], [given[index]])
-        seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
-        self._session.reset(ids, seeds)
+        with self._session.setting(config):
+            for index in ids:
+                if given[index] is not None:
+                    self._session.reseed([index], [given[index]])
+            seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
+            self._session.reset(ids, seeds)
+        self._first_seed = None
         self._ended[ids] = False
+        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
         return self._session.observe(self._all), self._infos(self._all)
 
     def step(self, actions):
         """One control step of every world. In the mode NextStep, a world whose episode ended begins its next instead."""
-        actions = _checked_action(actions, (self.num_envs, 2))
+        actions = checked_action(actions, (self.num_envs, 2))
         reward = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
             raise ValueError("Reset the worlds whose episodes ended (options={'reset_mask': ...}) before stepping.")
         going, ended = np.flatnonzero(~self._ended), np.flatnonzero(self._ended)
         extra = {}
-        if len(going):
-            _, reward[going], terminated[going], truncated[going] = self._session.step(going, actions[going])
-        if len(ended):
-            self._session.reset(ended, self._session.next_seeds(ended))
-        self._ended = terminated | truncated
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            done = np.flatnonzero(self._ended)
-            extra = self._final(done)
-            self._session.reset(done, self._session.next_seeds(done))
-            self._ended[:] = False
+        with self._session.whole():
+            if len(going):
+                _, reward[going], terminated[going], truncated[going] = self._session.step(going, actions[going])
+            if len(ended):
+                self._session.reset(ended, self._session.next_seeds(ended))
+            done = terminated | truncated
+            if self.autoreset_mode is AutoresetMode.SAME_STEP and done.any():
+                extra = self._final(np.flatnonzero(done))
+                self._session.reset(np.flatnonzero(done), self._session.next_seeds(np.flatnonzero(done)))
+                self._ended[:] = False
+            else:
+                self._ended = done
         return self._session.observe(self._all), reward, terminated, truncated, {**self._infos(self._all), **extra}
+
+    def close_extras(self, **kwargs):
+        """Frees all that it holds. Nothing can be stepped or reset then."""
+        self._session.close()
 
     def _infos(self, ids):
         present = np.zeros(self.num_envs, bool)

@@ -89,9 +89,13 @@ def speed_score(episode):
 
 
 def sns(episode):
-    """Eq. 6 for one episode: RC gamma^c (50 PE + 50 SP)."""
+    """Eq. 6 for one episode: RC gamma^c (50 PE + 50 SP).
+
+    Where RC is below 0, collisions don't discount it: nothing that the robot does wrong brings the score nearer to 0.
+    """
+    completed = route_completion(episode)
     quality = 50.0 * path_efficiency(episode) + 50.0 * speed_score(episode)
-    return route_completion(episode) * GAMMA**episode.collisions * quality
+    return completed * quality * (GAMMA**episode.collisions if completed > 0 else 1.0)
 
 
 def time_to_collision(episode):
@@ -204,7 +208,7 @@ class Metric:
 
 # fmt: off
 METRICS = (
-    Metric("SNS", "score", "", "up", sns, "RC * 0.95^Coll * (50 PE + 50 SP), of 100"),
+    Metric("SNS", "score", "", "up", sns, "RC * 0.95^Coll * (50 PE + 50 SP), of 100; an RC below 0 is not discounted by Coll"),
     Metric("RC", "score", "", "up", route_completion,
            "route completion, 1 - d_f / d_i; below 0 for who ends farther from the goal than it began"),
     Metric("Coll", "score", "steps", "down", lambda e: float(e.collisions),

@@ -51,9 +51,9 @@ class Renderer(drawing.Offscreen):
         drawn, rgb, depth = self._frames[view]
         stale = ids[drawn[ids] != world.sensed]
         if len(stale):
-            self.make_current()
-            for index in stale:
-                self._draw(world.batch, view, index, rgb[index], depth[index])
+            with self.current():
+                for index in stale:
+                    self._draw(world.batch, view, index, rgb[index], depth[index])
             drawn[stale] = world.sensed
         return rgb[ids], depth[ids]
 

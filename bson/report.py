@@ -316,7 +316,7 @@ def make_report(content, episodes, videos=(), no_video=""):
 {html.escape(", ".join(models))}; means with bootstrap 95% intervals.</p>
 <div class="top"><div class="head"><small>Socially-aware navigation score</small><b>{summary["SNS"]:.1f}</b>
 <small>of 100 &nbsp; 95% interval {low:.1f} to {high:.1f}</small></div><div class="cards">{cards}</div></div>
-<p class="sub">SNS = mean of RC &middot; 0.95<sup>Coll</sup> &middot; (50 PE + 50 SP) over the episodes.</p>
+<p class="sub">SNS = mean of RC &middot; 0.95<sup>Coll</sup> &middot; (50 PE + 50 SP) over the episodes; an RC below 0 counts without the discount.</p>
 {_fault_table(content["faults"]) if content.get("faults") else ""}
 {strata}{_grades_table(cells) if several else ""}
 {_metric_tables(content)}

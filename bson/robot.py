@@ -22,7 +22,8 @@ A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
 | mounts.NAME.position, .rpy | a place for a sensor in the base's frame [m], roll, pitch and yaw [rad] if it is turned |
 
 Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a sensor's
-`site` names. Wheels touch the floor only, and so does the rest of the model, sliding, as casters do; people and walls
+`site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it (masses,
+inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as casters do; people and walls
 touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the Jackal's (robots/jackal.xml).
 """
 
@@ -149,10 +150,10 @@ class RobotConfig:
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not (number and least <= value <= most):
-                raise ValueError(f"Robot '{self.name}': {name} must be {_domain(name)}, not {shown(value)}.")
+                raise ValueError(f"Robot {shown_path(self.name)}: {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(
-                f"Robot '{self.name}': half_length and half_width make a circle of {self.radius:.2f} m around the "
+                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m around the "
                 f"footprint; it must be at most {MAX_RADIUS} m."
             )
 
@@ -418,7 +419,8 @@ def robot_config(value):
     if isinstance(value, dict) and set(value) <= set(names) and isinstance(value.get("name", ""), str):
         return dataclasses.replace(load_robot(value.get("name", "jackal")).config, **value)
     raise ValueError(
-        f"robot must be one of {', '.join(robot_names())}, a .toml file, or a dict of {', '.join(names)}, not {value!r}."
+        f"robot must be one of {', '.join(robot_names())}, a .toml file, or a dict of {', '.join(names)}, not "
+        f"{shown(value)}."
     )
 
 
@@ -494,8 +496,8 @@ def _refuse_odd_models(content):
         mesh = element.get("filename") or element.get("file") or ""
         if mesh.lower().endswith(".dae"):
             raise ValueError(
-                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and name "
-                "that in the model."
+                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and "
+                "name that in the model."
             )
         for key in ("width", "height", "nrow", "ncol", "count"):
             for word in (element.get(key) or "").split()[:3]:
@@ -559,13 +561,15 @@ def _refuse_odd_bodies(model):
     for index in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
         body, radius = model.geom_bodyid[index], model.geom_rbound[index]
         if body and not _SIZE[0] <= radius <= _SIZE[1]:
+            body = model.body(body).name.removeprefix("robot/")
             raise ValueError(
-                f"body '{model.body(body).name.removeprefix('robot/')}' touches with a shape of radius {radius:.3g} m; it must be "
-                f"from {_SIZE[0]:g} to {_SIZE[1]:g} m."
+                f"body '{body}' touches with a shape of radius {radius:.3g} m; it must be from {_SIZE[0]:g} to "
+                f"{_SIZE[1]:g} m."
             )
-    for what in ("dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "actuator_gainprm", "actuator_gear"):
-        if not (np.abs(getattr(model, what)) <= 1e6).all():
-            raise ValueError(f"its {what} must be numbers of at most 1e6, not {np.abs(getattr(model, what)).max():.3g}.")
+    for what in ("dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "actuator_gainprm"):
+        most = np.abs(getattr(model, what)).max(initial=0.0)
+        if not most <= 1e6:
+            raise ValueError(f"its {what} must be numbers of at most 1e6, not {most:.3g}.")
 
 
 JACKAL = load_robot("jackal")

@@ -23,20 +23,17 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from macid.documents import MOST_NUMBER, is_number, shown
 from macid.drawing import Unavailable
 
+_LEAST_RATE = 1e-9  # [Hz]
+_MOST_NOISE = 1e6  # standard deviations
 _LOOK = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # MuJoCo's camera: x right, y up, -z ahead
 
 
-def _number(least=-math.inf, most=math.inf, above=-math.inf):
-    """Whether a value is a finite number in [least, most] and greater than `above`."""
-    return lambda value: (
-        isinstance(value, numbers.Real)
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-        and least <= value <= most
-        and value > above
-    )
+def _number(least=-MOST_NUMBER, most=MOST_NUMBER, above=-math.inf):
+    """Whether a value is a number in [least, most] and greater than `above`."""
+    return lambda value: is_number(value, least, most) and value > above
 
 
 def _whole(least, most):
@@ -73,13 +70,15 @@ class Sensor:
 
     def __post_init__(self):
         self._check("key", lambda value: isinstance(value, str) and value.isidentifier(), "an identifier")
-        self._check("rate", lambda value: value is None or _number(above=0)(value), "None or a frequency above 0 Hz")
-        self._check("noise", _number(least=0), "a number of at least 0 (1: as published)")
+        rates = _number(_LEAST_RATE)
+        domain = f"None or a frequency above 0 Hz, at least {_LEAST_RATE:g} Hz"
+        self._check("rate", lambda value: value is None or rates(value), domain)
+        self._check("noise", _number(0, _MOST_NOISE), f"a number of at least 0 (1: as published), at most {_MOST_NOISE:g}")
 
     def _check(self, name, good, domain):
         value = getattr(self, name)
         if not good(value):
-            raise ValueError(f"{type(self).__name__}: {name} must be {domain}, not {value!r}.")
+            raise ValueError(f"{type(self).__name__}: {name} must be {domain}, not {shown(value)}.")
         if isinstance(value, (list, np.ndarray)):
             object.__setattr__(self, name, tuple(float(one) for one in value))
 

@@ -1,11 +1,13 @@
 """Episodes on worlds: actions in, observations, rewards and ends out. Every interface and the evaluation stand on this."""
 
+import contextlib
+
 import gymnasium
 import numpy as np
 
 from bson.metrics import Episode
 from bson.task import TaskConfig
-from bson.world import World
+from bson.world import World, check_worlds, structure
 from macid.reward import individual_reward
 from macid.routing import Router
 
@@ -33,19 +35,66 @@ class Session:
 
     def __init__(self, config: TaskConfig, track, nworld=1, seeds=None, nthread=0):
         """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come."""
+        check_worlds("nworld", nworld)
         self.track, self.nworld, self._nthread = track, nworld, nthread
         self._worlds = {}
         self.configure(config)
         self._streams = [None] * nworld
         self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
 
+    @property
+    def world(self):
+        """The World of the present setting. Raises gymnasium.error.ClosedEnvironmentError once closed."""
+        if self._world is None:
+            raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
+        return self._world
+
     def configure(self, config: TaskConfig):
-        """Changes the setting of all worlds; they need a reset then. Models of earlier settings are kept."""
-        if config not in self._worlds:
-            if len(self._worlds) >= 4:
-                self._worlds.pop(next(iter(self._worlds)))
-            self._worlds[config] = World(config, self.nworld, self.track.sensors, self._nthread)
-        self.config, self.world = config, self._worlds[config]
+        """Changes the setting of all worlds; they need a reset then. The last models are kept: the most recent of
+        another structure (bson.world.structure) takes the place of the oldest."""
+        if self._worlds is None:
+            self.world  # tells that it is closed
+        key = structure(config)
+        world = self._worlds.pop(key, None)
+        if world is None:
+            world = World(config, self.nworld, self.track.sensors, self._nthread)
+        elif world.config != config:
+            world.configure(config)
+        while len(self._worlds) >= 4:
+            self._worlds.pop(next(iter(self._worlds)))
+        self._worlds[key] = world
+        self.config, self._world = config, world
+
+    @contextlib.contextmanager
+    def setting(self, config):
+        """`configure`, taken back, with the seeds' streams, where what happens within raises: episodes then go on."""
+        before, streams = self.config, list(self._streams)
+        self.configure(config)
+        try:
+            with self.whole():
+                yield
+        except BaseException:
+            self.configure(before)
+            self._streams = streams
+            raise
+
+    def close(self):
+        """Frees the worlds; closing twice does no harm."""
+        for world in (self._worlds or {}).values():
+            world.close()
+        self._worlds = self._world = None
+
+    @contextlib.contextmanager
+    def whole(self):
+        """What happens within happens whole, or not at all: see World.whole; the seeds' streams go back as well."""
+        states = [stream.bit_generator.state for stream in self._streams]
+        try:
+            with self.world.whole():
+                yield
+        except BaseException:
+            for stream, state in zip(self._streams, states, strict=True):
+                stream.bit_generator.state = state
+            raise
 
     def reseed(self, ids, seeds):
         """Begins the seed streams of the worlds `ids` anew."""

@@ -31,7 +31,9 @@ _Length = Annotated[float, Meta(gt=0, le=1e4, description="a number above 0 and 
 _Period = Annotated[float, Meta(gt=0, le=10, description="a time above 0 and of at most 10 s")]
 _Weight = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Text = Annotated[str, Meta(min_length=1, max_length=1000)]
-_Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}\Z", description="a name of letters, digits, -, _ and .")]
+_Name = Annotated[
+    str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}\Z", description="a name of letters, digits, -, _ and .")
+]
 
 
 class _Config(msgspec.Struct, forbid_unknown_fields=True):
@@ -165,7 +167,7 @@ def read_suite(file):
         cells = []
         for combination in itertools.product(*axes):
             key = ", ".join(f"axes.{axis}.{grade}" for axis, grade, _ in combination) or key
-            changes = {key: value for _, _, each in combination for key, value in each.items()}
+            changes = {name: value for _, _, each in combination for name, value in each.items()}
             cells.append(Cell(tuple((axis, grade) for axis, grade, _ in combination), base.replace(**changes)))
     except ValueError as error:
         raise UsageError(f"{called}, key {shown(key)}: {error}") from None

@@ -1,12 +1,14 @@
 """What is asked of the robot, and among whom: the task's configuration, and the spawning of an episode."""
 
 import dataclasses
+import functools
 import typing
 
 import numpy as np
 
 from bson.robot import JACKAL, RobotConfig, robot_config
 from macid import layout as layouts
+from macid.documents import check_values, is_number, shown
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
@@ -15,6 +17,7 @@ from macid.state import MAX_LCF, PHYSICS_STEP
 
 PEDESTRIANS = 24  # the paper's, sec. VI-D
 MAX_PEDESTRIANS = 2000
+MAX_HORIZON = 10**9  # [control steps]
 _START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
 _ROUTE_WIDTH = 2.0  # beside a route people begin [m]
 _GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
@@ -44,8 +47,6 @@ class TaskConfig:
     robot: RobotConfig | str = JACKAL.config  # a name or file (bson.robot), or a dict of numbers changed
 
     def __post_init__(self):
-        from macid.pedestrians import make_controller
-
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
         if max(map(abs, self.lcf)) > MAX_LCF:
             raise ValueError(f"lcf must lie in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
@@ -54,7 +55,7 @@ class TaskConfig:
             raise ValueError("Give num_pedestrians or pedestrian_density, not both.")
         if self.map is not None:
             if not isinstance(self.map, str):
-                raise ValueError(f"map must be a name or a file, not {self.map!r}.")
+                raise ValueError(f"map must be a name or a file, not {shown(self.map)}.")
             if self.obstacle_density:
                 raise ValueError(f"Map '{self.map}' has its own obstacles: leave obstacle_density at 0.")
             size = load_map(self.map).size
@@ -64,35 +65,44 @@ class TaskConfig:
         count = self.num_pedestrians
         if count is not None and not (_is_whole(count) and 0 <= count <= MAX_PEDESTRIANS):
             raise ValueError(
-                f"num_pedestrians must be a whole number of at least 0, at most {MAX_PEDESTRIANS}, not {count!r}."
+                f"num_pedestrians must be a whole number of at least 0, at most {MAX_PEDESTRIANS}, not {shown(count)}."
             )
         for name in ("pedestrian_density", "obstacle_density"):
             value = getattr(self, name)
             unset = name == "pedestrian_density" and value is None
-            if not unset and not (_is_number(value) and 0 <= value <= 1):
-                raise ValueError(f"{name} must be between 0 and 1, not {value!r}.")
-        if not (_is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
+            if not unset and not (is_number(value) and 0 <= value <= 1):
+                raise ValueError(f"{name} must be between 0 and 1, not {shown(value)}.")
+        if not (is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
             if self.map is not None:
                 raise ValueError(f"Map '{self.map}' is {self.map_size:g} m wide; episodes need one of 10 to 500 m.")
-            raise ValueError(f"map_size must be between 10 and 500 m, not {self.map_size!r}.")
+            raise ValueError(f"map_size must be between 10 and 500 m, not {shown(self.map_size)}.")
+        if self.people > MAX_PEDESTRIANS:
+            raise ValueError(
+                f"There may be at most {MAX_PEDESTRIANS} pedestrians; pedestrian_density {self.pedestrian_density} is "
+                f"{self.people} on {self.map_size:g} x {self.map_size:g} m."
+            )
         if not 1.0 <= self.goal_distance[0] <= self.goal_distance[1]:
             raise ValueError(
                 f"goal_distance must be two lengths (least, most) of at least 1 m, not {self.goal_distance}."
             )
-        if not (_is_whole(self.horizon) and self.horizon >= 1):
-            raise ValueError(f"horizon must be a whole number of at least 1, not {self.horizon!r}.")
+        if not (_is_whole(self.horizon) and 1 <= self.horizon <= MAX_HORIZON):
+            raise ValueError(
+                f"horizon must be a whole number of at least 1, at most {MAX_HORIZON}, not {shown(self.horizon)}."
+            )
         _multiple("pedestrian_period", self.pedestrian_period, "the physics step", PHYSICS_STEP)
         _multiple("control_period", self.control_period, "the physics step", PHYSICS_STEP)
         if self.control_period > 10.0:
-            raise ValueError(f"control_period must be at most 10 s, not {self.control_period!r}.")
+            raise ValueError(f"control_period must be at most 10 s, not {shown(self.control_period)}.")
         _multiple("control_period", self.control_period, "pedestrian_period", self.decision_period)
         object.__setattr__(self, "pedestrian_model", _models(self.pedestrian_model))
         if self.lcf_each is not None:
             object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
         object.__setattr__(self, "reward", _weights(self.reward))
+        if isinstance(self.robot, dict):
+            check_values(self.robot, _tell_robot)
         object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
-            make_controller(name, self.decision_period)
+            controller(name, self.decision_period)
 
     @property
     def model_shares(self):
@@ -146,10 +156,22 @@ class TaskConfig:
         return dataclasses.replace(self, **changes)
 
 
-def _is_number(value):
-    return (
-        isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and np.isfinite(value)
-    )
+def _tell_robot(key, problem):
+    raise ValueError(f"robot{f', key {shown(key)}' if key else ''}: {problem}.")
+
+
+def controller(name, period):
+    """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
+    from macid.pedestrians import make_controller
+
+    return make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
+
+
+@functools.lru_cache(64)
+def _shipped_controller(name, period):
+    from macid.pedestrians import make_controller
+
+    return make_controller(name, period)
 
 
 def _is_whole(value):
@@ -158,13 +180,13 @@ def _is_whole(value):
 
 def _pair(name, value):
     """`value` as (least, most): a number stands for both. Raises ValueError."""
-    pair = (value, value) if _is_number(value) else value
+    pair = (value, value) if is_number(value) else value
     try:
         least, most = pair
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number or (least, most), not {value!r}.") from None
-    if not (_is_number(least) and _is_number(most) and least <= most):
-        raise ValueError(f"{name} must be a number or (least, most) with least <= most, not {value!r}.")
+        raise ValueError(f"{name} must be a number or (least, most), not {shown(value)}.") from None
+    if not (is_number(least) and is_number(most) and least <= most):
+        raise ValueError(f"{name} must be a number or (least, most) with least <= most, not {shown(value)}.")
     return float(least), float(most)
 
 
@@ -176,9 +198,9 @@ def _models(value):
         shares = dict(value)
     except (TypeError, ValueError):
         shares = {}
-    good = all(isinstance(name, str) and _is_number(share) and share >= 0 for name, share in shares.items())
+    good = all(isinstance(name, str) and is_number(share) and share >= 0 for name, share in shares.items())
     if not shares or not good or sum(shares.values()) <= 0:
-        raise ValueError(f"pedestrian_model must be a name or {{name: share, ...}}, not {value!r}.")
+        raise ValueError(f"pedestrian_model must be a name or {{name: share, ...}}, not {shown(value)}.")
     total = sum(shares.values())
     return tuple((name, share / total) for name, share in shares.items())
 
@@ -187,7 +209,7 @@ def _each(values, people):
     """One LCF for each of `people` pedestrians. Raises ValueError."""
     try:
         values = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = ()
     if len(values) != people or not all(abs(value) <= MAX_LCF for value in values):
         raise ValueError(f"lcf_each must be {people} numbers in [-{MAX_LCF:g}, {MAX_LCF:g}], one for each pedestrian.")
@@ -199,14 +221,14 @@ def _weights(value):
     if isinstance(value, RewardWeights):
         return value
     fields = [field.name for field in dataclasses.fields(RewardWeights)]
-    if isinstance(value, dict) and set(value) <= set(fields) and all(_is_number(v) for v in value.values()):
+    if isinstance(value, dict) and set(value) <= set(fields) and all(is_number(v) for v in value.values()):
         return dataclasses.replace(TaskConfig.reward, **value)
-    raise ValueError(f"reward must be a dict of numbers for {', '.join(fields)}, not {value!r}.")
+    raise ValueError(f"reward must be a dict of numbers for {', '.join(fields)}, not {shown(value)}.")
 
 
 def _multiple(name, value, of_name, of):
-    if not (_is_number(value) and value > 0 and abs(round(value / of) * of - value) < 1e-9 and round(value / of) >= 1):
-        raise ValueError(f"{name} must be a multiple of {of_name} ({of:g} s), not {value!r}.")
+    if not (is_number(value) and value > 0 and abs(round(value / of) * of - value) < 1e-9 and round(value / of) >= 1):
+        raise ValueError(f"{name} must be a multiple of {of_name} ({of:g} s), not {shown(value)}.")
 
 
 class Spawn(typing.NamedTuple):

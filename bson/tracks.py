@@ -1,10 +1,12 @@
 """What the robot is given: a track is an object with its spaces and its observation."""
 
 import dataclasses
+import importlib
 
 import gymnasium
 import numpy as np
 
+from bson import sensors as shipped
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.world import MAP_RESOLUTION
 from macid import geometry
@@ -95,7 +97,7 @@ KEYS = {*RESERVED, *(sensor.key for sensors in SENSORS.values() for sensor in se
 
 def make_track(track, sensor):
     """The track `track` ("local" or "global") with `sensor`: a name of SENSORS, or sensors of one's own, e.g.
-    `(Imu(), Lidar2D(beams=360, rate=10.0))`. Raises ValueError, naming the valid ones."""
+    `(Imu(), Lidar2D(beams=360, rate=10.0))`, or what `sensor_documents` makes of them. Raises ValueError, naming the valid ones."""
     if track not in TRACKS:
         raise ValueError(f"Unknown track {track!r}. Choose {' or '.join(map(repr, sorted(TRACKS)))}.")
     return TRACKS[track](_sensors(sensor))
@@ -111,10 +113,46 @@ def sensor_settings(sensors):
     return [{"kind": type(one).__name__, **dataclasses.asdict(one)} for one in sensors]
 
 
+def sensor_documents(chosen):
+    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...], where a
+    kind that is not of bson.sensors is "module:class"."""
+    return chosen if isinstance(chosen, str) else [_document(one) for one in _sensors(chosen)]
+
+
+def _document(sensor):
+    kind = type(sensor)
+    name = kind.__name__ if getattr(shipped, kind.__name__, None) is kind else f"{kind.__module__}:{kind.__qualname__}"
+    fields = {
+        field.name: list(value) if isinstance(value, tuple) else value.item() if isinstance(value, np.generic) else value
+        for field in dataclasses.fields(sensor)
+        for value in [getattr(sensor, field.name)]
+    }
+    return {"kind": name, **fields}
+
+
+def _of_document(document):
+    """The sensor of a dict of `sensor_documents`. Raises ValueError, naming what is wrong."""
+    fields = dict(document)
+    name = fields.pop("kind", None)
+    module, _, attribute = name.partition(":") if isinstance(name, str) else ("", "", "")
+    try:
+        kind = getattr(importlib.import_module(module), attribute, None) if attribute else getattr(shipped, module, None)
+    except ImportError as error:
+        raise ValueError(f"There is no sensor {name!r}: {error}.") from None
+    if not (isinstance(kind, type) and issubclass(kind, Sensor)):
+        raise ValueError(f"There is no sensor {name!r}: a dict's kind is a class of bson.sensors, or 'module:class'.")
+    known = [field.name for field in dataclasses.fields(kind)]
+    if unknown := sorted(map(str, set(fields) - set(known))):
+        raise ValueError(f"{kind.__name__} has no field {unknown[0]!r}. Choose among {', '.join(known)}.")
+    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
+
+
 def _sensors(chosen):
     if isinstance(chosen, str) and chosen in SENSORS:
         return SENSORS[chosen]
-    sensors = (chosen,) if isinstance(chosen, Sensor) else chosen
+    sensors = (chosen,) if isinstance(chosen, (Sensor, dict)) else chosen
+    if isinstance(sensors, (tuple, list)):
+        sensors = [_of_document(one) if isinstance(one, dict) else one for one in sensors]
     if not isinstance(sensors, (tuple, list)) or not all(isinstance(one, Sensor) for one in sensors):
         names = ", ".join(map(repr, sorted(SENSORS)))
         raise ValueError(f"Unknown sensor {chosen!r}. Choose {names}, or a tuple of bson.sensors' configurations.")

@@ -3,11 +3,18 @@
 Every world has the same configuration and its own episode. What a world does depends only on its seed and its
 commands, never on its neighbours in the batch, bit for bit: physics is stepped by MuJoCo's batch, which promises as
 much, and pedestrians decide by one compiled program a world, since a vectorised one may round differently.
+
+Worlds of any counts share a few compiled decisions: people and boxes are filled up to the next of a few sizes, with
+people and boxes out of everybody's reach (`_decision`).
 """
 
+import collections
+import contextlib
+import copy
 import functools
 import os
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -16,15 +23,16 @@ import numpy as np
 
 from bson import robot
 from bson.renderer import Renderer
-from bson.task import TaskConfig, spawn, stops, ways_checker
-from macid import geometry, layout, physics, scene
+from bson.task import TaskConfig, controller, spawn, stops, ways_checker
+from macid import forks, geometry, layout, physics, scene
+from macid.documents import shown
 from macid.maps import load_map
-from macid.pedestrians import make_controller
 from macid.routing import occupancy_grid
-from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
+from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState, parking_place
 
 APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
 MAP_RESOLUTION = 0.25  # of the occupancy map [m]
+MAX_WORLDS = 65_536
 _FAR = np.inf
 _KINDS = ("person", "robot_on_person", "obstacle", "wall")  # of collisions
 _CLOSING_SPEED = 10.0  # that no robot and person exceed [m/s]
@@ -35,22 +43,65 @@ _ADDRESSES = {  # of joints, in what a warning of MuJoCo's counts
     mujoco.mjtWarning.mjWARN_BADQVEL: "jnt_dofadr",
     mujoco.mjtWarning.mjWARN_BADQACC: "jnt_dofadr",
 }
-_jax_process = None  # the process in which pedestrians first decided
+# Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No step
+# leads over a power of two, at which the distance to a disc is rounded otherwise (macid.geometry.first_disc).
+ROWS = (2, 4, 8, 16, 25, 32, 51, 64, 101, 128, 201, 256, 384, 512, 768, 1024, 1536, 2048)
+BOXES = (4, 16, 44, 85, 128, 192, 256)
+_BOX_STEP = 256  # of more boxes than that
+_COLUMNS = (2, 1, 2, 1, 2, 1, 1)  # of a decision's rows: position, yaw, velocity, yaw rate, goal, lcf, model
+_LISTS = ("layouts", "_routers", "_rngs", "_occupancy")
+_BOUND = {  # what the next step depends on: attributes of a World, and fields of MuJoCo's
+    "_qpos": "qpos",
+    "_qvel": "qvel",
+    "_act": "act",
+    "_ctrl": "ctrl",
+    "_warmstart": "qacc_warmstart",
+    "_time": "time",
+    "_mocap_pos": "mocap_pos",
+    "_mocap_quat": "mocap_quat",
+}
+
+
+def _rows(number):
+    """The first of ROWS that `number` people and a robot fit in."""
+    return next(rows for rows in ROWS if rows > number)
+
+
+def _box_rows(number):
+    """The first of BOXES, or multiple of _BOX_STEP, that `number` boxes fit in."""
+    return next((rows for rows in BOXES if rows >= number), -(-number // _BOX_STEP) * _BOX_STEP)
+
+
+@functools.lru_cache(8)
+def _maze(size):
+    """The example of a maze of side `size` [m] whose walls all stand."""
+    return layout.maze_layout(np.random.default_rng(0), 1.0, size).boxes
+
+
+def _boxes(config):
+    """An example (B, 5) of the boxes that an episode of `config` has: their number and sizes are those of each."""
+    if config.map is not None:
+        return load_map(config.map).boxes
+    boxes = _maze(config.map_size)
+    return boxes[: 4 + round(config.obstacle_density * (len(boxes) - 4))]
 
 
 def build_spec(config: TaskConfig, sensors):
     """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
-    if config.map is None:
-        example = layout.maze_layout(np.random.default_rng(0), config.obstacle_density, config.map_size)
-    else:
-        example = load_map(config.map)
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
-    scene.add_boxes(spec, example.boxes, movable=True)
+    scene.add_boxes(spec, _boxes(config), movable=True)
     robot.add_robot(spec, robot.describe(config.robot))
     for sensor in sensors:
         sensor.mount(spec)
     return spec
+
+
+def structure(config: TaskConfig):
+    """What of `config` makes a world's model: worlds of one structure go from one setting to the other without a new
+    one (World.configure)."""
+    sizes = _boxes(config)[:, 2:4]
+    return config.people, sizes.shape, sizes.tobytes(), config.map_size, config.robot, robot.describe(config.robot).digest
 
 
 def build_model(config: TaskConfig, sensors):
@@ -67,43 +118,32 @@ def _way(layout, router, person, place, goal):
     return np.concatenate([router.path(*ends) for ends in zip([place, *passed[:-1]], passed, strict=True)])
 
 
-@functools.lru_cache(32)
-def _decision(k, controllers):
-    """The decision of the `k` pedestrians of one world, by `controllers`, jitted; the robot is one more disc, last in the
-    state. Worlds of one sort share it: compiling takes longer than all else that makes a World."""
+@functools.lru_cache(64)
+def _decision(controllers, rows, boxes):
+    """The decision of up to `rows` people among `boxes` boxes, by `controllers`, jitted: (rows, sum of _COLUMNS) and
+    (boxes, 5) to (rows * 3,). The robot is one more disc, after the people; whoever fills the rows up comes last, out of
+    everybody's reach. Worlds of all counts share a few of them: compiling takes longer than all else that makes a World.
+
+    What fills up changes nothing of learned people's decisions, bit for bit. Of rules that add up forces, and of ORCA,
+    it may change the last bit, as the compiler adds in another order: so all worlds of one count have the same rows.
+    """
 
     def decide(packed, boxes):
-        pose, rate, robot_row, goals, lcf, models = jnp.split(packed, np.cumsum([3 * k, 3 * k, 6, 2 * k, k]))
-        pose, rate = pose.reshape(k, 3), rate.reshape(k, 3)
-        position = jnp.concatenate([pose[:, :2], robot_row[None, :2]])
-        state = CrowdState(
-            position,
-            jnp.append(pose[:, 2], robot_row[2]),
-            jnp.concatenate([rate[:, :2], robot_row[None, 3:5]]),
-            jnp.append(rate[:, 2], robot_row[5]),
-            physics.touching(position, boxes),
-        )
-        ahead = position[-1:] + robot_row[None, 3:5]  # where the robot wants to go, as far as people can tell
-        goals = jnp.concatenate([goals.reshape(k, 2), ahead])
-        commands = [controller(state, boxes, goals, jnp.append(lcf, 0.0))[:k] for controller in controllers]
+        position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], physics.touching(position, boxes))
+        commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
         command = commands[0]
         for number, other in enumerate(commands[1:], start=1):
-            command = jnp.where((models == number)[:, None], other, command)
+            command = jnp.where(models == number, other, command)
         return command.ravel()
 
     return jax.jit(decide)
 
 
-def _refuse_forked_jax():
-    """Raises RuntimeError in a process that was forked after JAX began its threads: it would wait for ever."""
-    global _jax_process
-    if _jax_process is None:
-        _jax_process = os.getpid()
-    if _jax_process != os.getpid():
-        raise RuntimeError(
-            "This process was forked after pedestrians had moved in its parent, and JAX does not survive that. Use "
-            "gymnasium.make_vec(id, num_envs=N), which needs no processes, or processes by spawn (context='spawn')."
-        )
+def check_worlds(name, number):
+    """Raises ValueError for what is no number of worlds."""
+    if not (isinstance(number, (int, np.integer)) and not isinstance(number, bool) and 1 <= number <= MAX_WORLDS):
+        raise ValueError(f"{name} must be a whole number of at least 1, at most {MAX_WORLDS}, not {shown(number)}.")
 
 
 class World:
@@ -120,26 +160,28 @@ class World:
     """
 
     def __init__(self, config: TaskConfig, nworld=1, sensors=(), nthread=0, with_robot=True):
-        """with_robot: False puts the robots where nobody sees or meets them: the same people among themselves."""
+        """with_robot: False puts the robots where nobody sees or meets them: the same people among themselves.
+        Raises ValueError for what doesn't fit together, macid.drawing.Unavailable for cameras without OpenGL."""
+        check_worlds("nworld", nworld)
+        self._made = nworld, tuple(sensors), nthread, with_robot
         self._away = 0.0 if with_robot else config.map_size + _ABSENT
-        self.config, self.nworld, self.sensors = config, nworld, tuple(sensors)
+        self._process = os.getpid()
+        self.nworld, self.sensors = nworld, tuple(sensors)
         if len({sensor.key for sensor in self.sensors}) < len(self.sensors):
             raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
-        self._every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
+        self.structure = structure(config)  #: of its model
+        self.configure(config)
         spec = build_spec(config, self.sensors)
-        self.scene = spec.compile()  # as it looks
         robot.hide_robot(spec)
         self.model = model = spec.compile()  # as it moves and is sensed
         self.batch = mujoco.batch.Batch(model, nworld, nthread)
-        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        for name, field in _BOUND.items():
+            setattr(self, name, self.batch.bind(field))
         self._last_qpos = self._qpos.copy()  # as last sensed
-        self._ctrl = self.batch.bind("ctrl")
-        self._mocap_pos, self._mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
         # Sensors are computed once a control step, not in each physics step.
         self._flags = self.batch.expand("opt.disableflags")
         self._sensors_on = int(model.opt.disableflags)
         self._sensors_off = self._sensors_on | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        self._readers = [sensor.bind(self) for sensor in self.sensors]
         self._noise = [[None] * nworld for _ in self.sensors]  # their Generators; each episode has its own
         self.sensed = 0  # how often sensors were read
 
@@ -166,8 +208,89 @@ class World:
         self.readings = {
             sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self.sensors
         }
-        controllers = tuple(make_controller(name, config.decision_period) for name in config.model_shares)
-        self._decide = _decision(k, controllers)
+        rows, boxes = _rows(k), _box_rows(model.nmocap)
+        self._packed = np.zeros((nworld, rows, sum(_COLUMNS)), np.float32)  # for decisions
+        self._packed_boxes = np.zeros((nworld, boxes, 5), np.float32)
+        away = parking_place(np.arange(max(rows, boxes)))
+        self._packed[:, :, :2] = self._packed[:, :, 6:8] = away[:rows]
+        self._packed_boxes[:, :, :2], self._packed_boxes[:, :, 2:4] = -away[:boxes], 0.1
+        self._journal = None  # what a failed step puts back, while there is a step
+        try:
+            self._readers = [sensor.bind(self) for sensor in self.sensors]
+        except BaseException:
+            self.close()
+            raise
+
+    def configure(self, config: TaskConfig):
+        """Goes on in the setting `config`, which must have this world's structure; each world needs a reset then."""
+        every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
+        controllers = tuple(controller(name, config.decision_period) for name in config.model_shares)
+        self.config, self._every, self._controllers = config, every, controllers
+
+    def __deepcopy__(self, memo):
+        """Worlds of their own that go on from where these are, equally."""
+        self._check_open()
+        nworld, sensors, nthread, with_robot = self._made
+        made = World(self.config, nworld, sensors, nthread, with_robot)
+        memo[id(self)] = made
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                getattr(made, name)[...] = value
+        for name in ("_rngs", "_noise", "_routes"):
+            setattr(made, name, copy.deepcopy(getattr(self, name), memo))
+        for name in ("layouts", "_routers", "_occupancy"):  # never changed
+            setattr(made, name, list(getattr(self, name)))
+        for key, values in self.readings.items():
+            made.readings[key][:] = values
+        return made
+
+    def close(self):
+        """Frees the physics and what draws for cameras; closing twice does no harm. Nothing can be stepped then."""
+        if "renderer" in vars(self):
+            self.renderer.close()
+        for name in (*_BOUND, "_flags", "batch", "renderer", "_readers", "readings", "_packed", "_packed_boxes", "_occupancy"):
+            vars(self).pop(name, None)
+        self.batch = None
+
+    def _check_open(self):
+        if self.batch is None:
+            raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
+
+    @functools.cached_property
+    def scene(self):
+        """The MjModel as it looks, for films."""
+        return build_model(self.config, self.sensors)
+
+    @contextlib.contextmanager
+    def whole(self):
+        """What happens within happens whole: where it raises, all worlds are put back as they were. They may be nested."""
+        self._check_open()
+        if self._journal is not None:
+            yield
+            return
+        before = {name: array.copy() for name, array in vars(self).items() if isinstance(array, np.ndarray)}
+        lists = {name: list(getattr(self, name)) for name in _LISTS}
+        routes = [list(ways) for ways in self._routes]
+        noise = [list(generators) for generators in self._noise]
+        self._journal = {}
+        try:
+            yield
+        except BaseException:
+            for name, array in before.items():
+                getattr(self, name)[...] = array
+            for name, values in lists.items():
+                setattr(self, name, values)
+            self._routes, self._noise = routes, noise
+            for generator, state in self._journal.values():
+                generator.bit_generator.state = state
+            raise
+        finally:
+            self._journal = None
+
+    def _draws(self, generator):
+        """Notes that `generator` is about to draw, for `whole`."""
+        if self._journal is not None and id(generator) not in self._journal:
+            self._journal[id(generator)] = generator, generator.bit_generator.state
 
     @functools.cached_property
     def renderer(self):
@@ -207,6 +330,8 @@ class World:
 
     def reset(self, ids, seeds):
         """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
+        self._check_open()
+        forks.refuse(self._process)
         ids = np.asarray(ids, dtype=int)
         rngs = [np.random.default_rng(int(seed)) for seed in seeds]
         drawn = []
@@ -217,7 +342,13 @@ class World:
                 for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
             ]
             drawn.append((s, ways))
+        with self.whole():
+            self._begin(ids, seeds, rngs, drawn)
+
+    def _begin(self, ids, seeds, rngs, drawn):
+        """Begins the episodes that were drawn, a Spawn and people's ways of each of the worlds `ids`."""
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        k = self.config.people
         for index, seed, rng, (s, ways) in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
             self.layouts[index], self._routers[index], self._occupancy[index] = s.layout, s.router, None
@@ -228,6 +359,8 @@ class World:
             self._qpos[index, self._robot_qpos] = robot.spawn_qpos(*s.robot, self.config.robot)
             self._qpos[index, self._robot_qpos.start] += self._away
             self.goal[index], self.lcf[index], self.models[index] = s.goal, s.lcf, s.models
+            self._packed[index, :k, 8], self._packed[index, :k, 9] = s.lcf, s.models
+            self._packed_boxes[index, : len(boxes)] = boxes
             self._routes[index] = [way[1:] for way in ways]
             self.people_goals[index] = np.reshape([way[0] for way in ways], (-1, 2))
             self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
@@ -242,6 +375,12 @@ class World:
 
     def step(self, ids, command):
         """One control step of the worlds `ids`: `command` (n, 2), v [m/s] and w [rad/s], held for the control period."""
+        self._check_open()
+        forks.refuse(self._process)
+        with self.whole():
+            self._step(ids, command)
+
+    def _step(self, ids, command):
         sound = self.fault[ids] == ""
         ids, command = np.asarray(ids, dtype=int)[sound], np.asarray(command)[sound]
         self._ctrl[ids[:, None], self._robot_ctrl] = robot.wheel_speeds(command, self.robot)
@@ -297,17 +436,20 @@ class World:
         self._qpos[index], self._qvel[index] = self._last_qpos[index], 0.0
 
     def _command_people(self, ids):
-        """Lets the people of the worlds `ids` decide. The calls overlap: JAX runs them while the next is packed."""
-        _refuse_forked_jax()
+        """Lets the people of the worlds `ids` decide. The calls overlap: JAX runs them while the next begins."""
+        k = self.config.people
         qpos, qvel = self._qpos[ids], self._qvel[ids]
-        robot_qvel = qvel[:, self._robot_qvel]
-        pose = robot.planar_pose(qpos[:, self._robot_qpos])
-        rows = [qpos[:, self._people], qvel[:, self._people], pose, robot_qvel[:, :2], robot_qvel[:, 5:]]
-        rows += [self.people_goals[ids].reshape(len(ids), -1), self.lcf[ids], self.models[ids]]
-        packed, boxes = np.concatenate(rows, axis=-1).astype(np.float32), self.boxes[ids].astype(np.float32)
-        commands = [self._decide(*row) for row in zip(packed, boxes, strict=True)]
+        packed = self._packed[ids]
+        packed[:, :k, :3] = qpos[:, self._people].reshape(len(ids), k, 3)
+        packed[:, :k, 3:6] = qvel[:, self._people].reshape(len(ids), k, 3)
+        packed[:, :k, 6:8] = self.people_goals[ids]
+        packed[:, k, :3] = robot.planar_pose(qpos[:, self._robot_qpos])
+        packed[:, k, 3:5], packed[:, k, 5] = qvel[:, 3 * k : 3 * k + 2], qvel[:, 3 * k + 5]
+        packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # where it wants to go, as far as people can tell
+        decide = _decision(self._controllers, packed.shape[1], self._packed_boxes.shape[1])
+        commands = [decide(packed[row], self._packed_boxes[index]) for row, index in enumerate(ids)]
         for index, command in zip(ids, commands, strict=True):
-            self._ctrl[index, self._people] = command
+            self._ctrl[index, self._people] = np.asarray(command)[: 3 * k]
 
     def _new_goals(self, index, who):
         """New goals, and ways to them, for the people `who` of a world, from where they stand.
@@ -322,6 +464,7 @@ class World:
                     pair[((pair - place) ** 2).sum(axis=-1).argmax()] for pair, place in zip(ends, places, strict=True)
                 ]
             else:
+                self._draws(self._rngs[index])
                 region = map_layout.regions.get("people_goal")
                 distance, joins = self.config.people_goal_distance, ways_checker(self.config, router)
                 goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
@@ -403,6 +546,7 @@ class World:
         self.arrived[ids] = self.distance[ids] <= GOAL_RADIUS
         self.nearest_person[ids] = self._person_gaps(self.pose[ids], qpos).min(axis=-1, initial=_FAR)
         self.sensed += 1
+        taken = []
         for sensor, every, read, noise in zip(self.sensors, self._every, self._readers, self._noise, strict=True):
             due = ids[self.steps[ids] % every == 0]
             if not len(due):
@@ -414,5 +558,8 @@ class World:
             due, readings = due[finite], readings[finite]
             if sensor.noise:
                 for row, index in enumerate(due):
+                    self._draws(noise[index])
                     readings[row] = sensor.noisy(readings[row], noise[index])
-            self.readings[sensor.key][due] = readings
+            taken.append((sensor.key, due, readings))
+        for key, due, readings in taken:  # once nothing can fail any more
+            self.readings[key][due] = readings

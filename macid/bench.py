@@ -7,7 +7,8 @@ import time
 import jax
 
 from macid.layout import LEVELS, load_level
-from macid.learning.train import PRESETS, TrainConfig, Trainer
+from macid.learning import train as presets
+from macid.learning.train import Trainer
 
 WORLDS = (1, 4, 16, 64)
 
@@ -43,7 +44,7 @@ def run(engine="native", levels=LEVELS, worlds=WORLDS, seconds=3.0, preset="fast
     for level in levels:
         for nworld in worlds:
             config = dataclasses.replace(
-                TrainConfig(level=level, nworld=nworld, engine=engine, ppo=PRESETS[preset]), rollout=50
+                presets.preset(preset, level=level, nworld=nworld, engine=engine), rollout=50
             )
             people, rollout, training = load_level(level).pedestrians, *measure(config, seconds)
             rows.append({"people": people, "worlds": nworld, "rollout": rollout, "training": training})

@@ -107,17 +107,20 @@ def _watch(args):
 
 
 def _train(args):
-    from macid.learning.train import PRESETS, TrainConfig, train
+    from macid.learning.train import preset, train
 
-    config = TrainConfig(
+    given = {
+        "nworld": args.worlds,
+        "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
+    }
+    config = preset(
+        args.preset,
         method=args.method,
         level=args.level,
         seed=args.seed,
         engine=args.engine,
-        nworld=args.worlds,
         period=args.period,
-        agent_steps=int(args.agent_steps),
-        ppo=PRESETS[args.preset],
+        **{name: value for name, value in given.items() if value is not None},
     )
     out = check_folder(args.out)
     train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
@@ -159,7 +162,8 @@ def parser():
         type=_level,
         nargs="+",
         default=[1, 2, 3, 4],
-        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation",
+        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation; or a map of another kind: "
+        "big-boxes, small-boxes, foyer, crossroads, furnished, crowded",
     )
     evaluate.number("--episodes", int, 1, MOST_WORLDS, default=5, help="episodes a level")
     evaluate.number("--seed", int, 0, MOST_SEED, default=0)
@@ -174,7 +178,7 @@ def parser():
 
     watch = commands.add_parser("watch", help="film a crowd", formatter_class=HelpFormatter)
     watch.add_argument("--pedestrian", type=name, default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
-    watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
+    watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     watch.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
@@ -193,12 +197,14 @@ def parser():
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
-    train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, or v1 to v4")
+    train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
     train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, at once")
-    train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="crowds at once")
+    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset paper: 1)")
     train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
-    train.number("--agent-steps", float, 1.0, MOST_STEPS, default=20e6, help="budget, e.g. 20e6")
+    train.number(
+        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset paper: the paper's 50e6)"
+    )
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")

@@ -61,11 +61,12 @@ def merged(solid, resolution, most):
     raise AssertionError("one rectangle covers everything")
 
 
-def leaves_room(solid, found):
-    """Whether the rectangles `found` (N, 4) leave a cell free of the grid `solid` (rows, columns) bool, or none was."""
+def leaves_room(solid, found, resolution):
+    """Whether the rectangles `found` (N, 4) leave people a way on the grid `solid` (rows, columns) bool of cells of side
+    `resolution` [m], or there was none."""
     covered = solid.copy()
     _fill(covered, found)
-    return solid.all() or not covered.all()
+    return bool(_ways(_distance(covered), resolution).any() or not _ways(_distance(solid), resolution).any())
 
 
 def _fill(cells, found):

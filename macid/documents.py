@@ -6,6 +6,7 @@ Whatever is wrong with one is a UsageError of one line that names the file, the 
 import collections
 import json
 import math
+import numbers
 import pathlib
 import re
 import reprlib
@@ -36,6 +37,11 @@ def shown_path(path):
     """`path` as a message shows it: in quotes, on one line, printable on any terminal, and with its end where it is long."""
     text = repr(str(path)).encode("ascii", "backslashreplace").decode()
     return text if len(text) <= _SHOWN_PATH else f"'...{text[4 - _SHOWN_PATH :]}"
+
+
+def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
+    """Whether `value`, Python's or NumPy's, is a number from `least` to `most`, so neither NaN nor infinite nor a bool."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and bool(least <= value <= most)
 
 
 def read_bytes(path, what, most=MOST_BYTES):

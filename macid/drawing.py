@@ -7,10 +7,12 @@ are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says wha
 import atexit
 import contextlib
 import copy
+import functools
 import math
 import os
 import pathlib
 import platform
+import sys
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 
@@ -33,6 +35,7 @@ FIGURE_PARTS = 4  # shapes in a person's figure
 
 _open_stages = weakref.WeakSet()  # to be closed before the graphics library goes
 _gl_process = None  # the process in which OpenGL first drew
+_gl_failure = None  # what kept MuJoCo from drawing in this process: a second try would abort it
 
 
 class Unavailable(UsageError, RuntimeError):
@@ -46,7 +49,8 @@ def gl_problem():
     except Unavailable as error:
         return str(error)
     try:
-        offscreen(mujoco.MjSpec().compile()).free()
+        with current(context):
+            offscreen(mujoco.MjSpec().compile()).free()
     except Unavailable as error:
         return str(error)
     finally:
@@ -58,8 +62,11 @@ def gl_context(width, height):
     """An OpenGL context: EGL on Linux (no display needed) unless MUJOCO_GL says otherwise. Raises Unavailable.
 
     MuJoCo itself picks GLFW, which needs a display, when MUJOCO_GL is unset, and does so as soon as it is imported.
+    The context is not left current: see `current`.
     """
     global _gl_process
+    if _gl_failure is not None:
+        raise Unavailable(_gl_failure)
     if _gl_process not in (None, os.getpid()):  # it would wait for ever for threads that are not there
         raise Unavailable(
             "This process was forked after its parent had drawn, and OpenGL does not survive that. Use processes by "
@@ -74,7 +81,10 @@ def gl_context(width, height):
         else:
             from mujoco.rendering.classic.gl_context import GLContext
         context = GLContext(width, height)
-        context.make_current()
+        if not getattr(context, "_context", True):  # GLFW gives no window and says so in a warning
+            raise RuntimeError("no window, as without a display")
+        with current(context):
+            pass
     except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, GLError, RuntimeError
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise Unavailable(
@@ -85,12 +95,46 @@ def gl_context(width, height):
     return context
 
 
+@contextlib.contextmanager
+def current(gl):
+    """Within, OpenGL goes to the context `gl`; afterwards, to what it went to before.
+
+    A context that stayed current in one thread could not be used by any other.
+    """
+    backend = type(gl).__module__
+    if backend.startswith("mujoco.egl"):
+        from OpenGL import EGL
+
+        before, display = EGL.eglGetCurrentContext(), EGL.eglGetCurrentDisplay()
+        if not before:
+            before, display = EGL.EGL_NO_CONTEXT, sys.modules[backend].EGL_DISPLAY
+
+        def restore():
+            EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, before)
+    elif backend.startswith("mujoco.glfw"):
+        import glfw
+
+        restore = functools.partial(glfw.make_context_current, glfw.get_current_context())
+    else:  # OSMesa and CGL draw in memory of their own
+
+        def restore():
+            pass
+
+    gl.make_current()
+    try:
+        yield
+    finally:
+        restore()
+
+
 def offscreen(model):
     """An MjrContext that draws `model` offscreen, in the OpenGL context that is current. Raises Unavailable."""
+    global _gl_failure
     try:
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
     except mujoco.FatalError as error:
-        raise Unavailable(f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl.") from None
+        _gl_failure = f"OpenGL can't draw here ({error}). Unset MUJOCO_GL, or set MUJOCO_GL=egl."
+        raise Unavailable(_gl_failure) from None
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
     return context
 
@@ -141,7 +185,8 @@ class Offscreen:
         model.vis.global_.offwidth, model.vis.global_.offheight = size
         self._gl = gl_context(*map(int, size))
         close_at_exit(self)
-        self._context = offscreen(model)
+        with self.current():
+            self._context = offscreen(model)
         self.model, self.data = model, mujoco.MjData(model)
         self.scene = mujoco.MjvScene(model, model.ngeom + extra)
         self._option = mujoco.MjvOption()
@@ -156,15 +201,15 @@ class Offscreen:
         self._gl = self._context = None
         if gl is not None:
             if context is not None:
-                gl.make_current()
-                context.free()
+                with current(gl):
+                    context.free()
             gl.free()
 
-    def make_current(self):
-        """Directs OpenGL here. Raises ValueError once closed."""
+    def current(self):
+        """Directs OpenGL here within a `with`: see the function `current`. Raises ValueError once closed."""
         if self._gl is None:
             raise ValueError(f"This {type(self).__name__} is closed.")
-        self._gl.make_current()
+        return current(self._gl)
 
     def place(self, camera):
         """Puts the bodies where `data` has their coordinates, and the model alone into the scene, seen by `camera`."""
@@ -212,7 +257,6 @@ class Stage(Offscreen):
 
     def pose(self):
         """Puts the bodies where `data` has their coordinates, and the model alone into the scene."""
-        self.make_current()
         self.place(self._free)
         self.scene.geoms[self._floor].category = mujoco.mjtCatBit.mjCAT_DECOR
 
@@ -287,8 +331,9 @@ class Stage(Offscreen):
         left, top, width, height = self.rect(view)
         rect = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), np.uint8)
-        mujoco.mjr_render(rect, self.scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, rect, self._context)
+        with self.current():
+            mujoco.mjr_render(rect, self.scene, self._context)
+            mujoco.mjr_readPixels(pixels, None, rect, self._context)
         page[top : top + height, left : left + width] = pixels[::-1]
 
     def on_map(self, view, centre, span, place):

@@ -88,7 +88,8 @@ class Layout:
         shaped = boxes.ndim == 2 and boxes.shape[1] == len(geometry.BOX_COLUMNS)
         if not (shaped and np.isfinite(boxes).all() and (boxes[:, 2:4] >= _LEAST_HALF).all()):
             raise ValueError(
-                f"Layout '{self.name}': {what} must be finite rows {_BOX_ROW}, halves above 0, of at least {_LEAST_HALF:g}."
+                f"Layout '{self.name}': {what} must be finite rows {_BOX_ROW}, halves above 0, of at least "
+                f"{_LEAST_HALF:g}."
             )
         boxes.flags.writeable = False
         return boxes
@@ -190,7 +191,9 @@ _Routes = Annotated[
     list[_Route],
     Meta(max_length=100, description="a list of routes, at most 100, each a list of points (x, y), at most 200"),
 ]
-_Regions = Annotated[dict[str, _Boxes], Meta(description=f"a table of {', '.join(REGIONS)}, each a list of rows {_BOX_ROW}")]
+_Regions = Annotated[
+    dict[str, _Boxes], Meta(description=f"a table of {', '.join(REGIONS)}, each a list of rows {_BOX_ROW}")
+]
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -286,8 +289,9 @@ def _most_clearance(size, obstacles, region):
     best = 0.0
     for x, y, half_x, half_y, yaw in region:
         low, high = -np.array([half_x, half_y]), np.array([half_x, half_y])
-        for _ in range(5):  # around the best place so far, ever more closely
-            spans = [np.linspace(*ends, max(2, min(60, 2 + int(8 * (ends[1] - ends[0]))))) for ends in zip(low, high, strict=True)]
+        for level in range(4):  # around the best place so far, ever more closely
+            number = [15, 15] if level else np.clip(15 * (high - low), 3, 121).astype(int)
+            spans = [np.linspace(*ends) for ends in zip(low, high, number, strict=True)]
             local = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2)
             places = np.array([x, y]) + geometry.rotate(local, np.array(yaw))
             parts = np.array_split(places, 1 + len(places) * len(boxes) // 1_000_000)
@@ -298,8 +302,6 @@ def _most_clearance(size, obstacles, region):
             middle = local[room.argmax()]
             low = np.maximum(middle - 2 * step, [-half_x, -half_y])
             high = np.minimum(middle + 2 * step, [half_x, half_y])
-            if (high - low <= 0.01).any():
-                break
     return best
 
 
@@ -342,11 +344,13 @@ def sample_people(
     most = most_clearance(layout, region)
     need = f"{RADIUS + gap:.2f} m between a centre and obstacles"
     where = _no_room(layout, region, region_name)
-    found = f"Only {len(places)} of {number} {who} found room in" if number > 1 or who == "people" else f"{who} finds no room in"
+    found = f"Only {len(places)} of {number} people found room in" if who == "people" else f"{who} finds no room in"
     if most < RADIUS + gap:
         raise NoFreeSpace(f"{found} {where}: {need} is asked for, and the most there is is {most:.2f} m.")
     cure = "Lower the pedestrian or obstacle density." if who == "people" else "Give it more room."
-    raise NoFreeSpace(f"{found} {where}: {need} is asked for, up to {most:.2f} m there is, but too little of that. {cure}")
+    raise NoFreeSpace(
+        f"{found} {where}: {need} is asked for, up to {most:.2f} m there is, but too little of that. {cure}"
+    )
 
 
 def sample_goals(

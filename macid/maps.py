@@ -98,7 +98,8 @@ def load_occupancy(file):
     mode = fields.mode.lower()
     if mode not in occupancy.MODES:
         raise UsageError(
-            f"map {shown_path(file)}, key 'mode': it must be one of {', '.join(occupancy.MODES)}, not {shown(fields.mode)}."
+            f"map {shown_path(file)}, key 'mode': it must be one of {', '.join(occupancy.MODES)}, not "
+            f"{shown(fields.mode)}."
         )
     if not fields.free_thresh < fields.occupied_thresh:
         raise UsageError(
@@ -111,7 +112,8 @@ def load_occupancy(file):
     try:
         solid = occupancy.solid_cells(image, mode, fields.negate, fields.free_thresh)
         size, boxes = _boxes(solid, fields.resolution, fields.origin[2])
-        return Layout(size, boxes, routed=True, name=file.stem)
+        name = "".join(letter if letter.isprintable() else "?" for letter in file.stem)
+        return Layout(size, boxes, routed=True, name=name)
     except ValueError as error:
         raise UsageError(f"map {shown_path(file)}: {error}") from None
 
@@ -157,7 +159,7 @@ def rectangles(solid, resolution):
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
     more than MAX_BOXES, they are merged (macid.cover.merged), so that some free cells are covered, too. Raises
-    ValueError where that leaves no room.
+    ValueError where that leaves people no room to go, and there was some.
     """
     rows, columns = solid.shape
     side = max(rows, columns)
@@ -173,10 +175,10 @@ def _rectangles(solid, resolution):
     if len(found) <= MAX_BOXES:
         return found
     merged = cover.merged(solid, resolution, MAX_BOXES)
-    if not cover.leaves_room(solid, merged):
+    if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave no room. "
-            "Smooth it, or lower its resolution."
+            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
+            "to go. Smooth it, or lower its resolution."
         )
     return merged
 

@@ -127,8 +127,11 @@ def _picture(content):
     key, mode = picture.info.get("transparency"), picture.mode
     if mode in _OPAQUE_MODES:
         samples, top = np.asarray(picture).astype(np.int32), _OPAQUE_MODES[mode]
+        if key is None:
+            return samples, top, None
         bits = content[24] if picture.format == "PNG" else 8  # of the file, in which the transparent grey is said
-        return samples, top, None if key is None else samples == _whole(key) * top // ((1 << bits) - 1)
+        key = min(_whole(key), 1) if bits == 1 else _whole(key) * top // ((1 << bits) - 1)
+        return samples, top, samples == key
     if mode == "RGB":
         samples = np.asarray(picture)
         if key is not None:

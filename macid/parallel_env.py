@@ -1,5 +1,6 @@
 """A crowd as a PettingZoo parallel environment, to train pedestrians with one's own algorithm (extra `pettingzoo`)."""
 
+import copy
 import dataclasses
 import numbers
 import types
@@ -10,7 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from macid import forks
 from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.documents import is_number, shown
 from macid.evaluate import level_seed
 from macid.layout import Layout, load_level
 from macid.observation import RAY_RANGE, RAYS, SIZE, observe
@@ -23,6 +26,7 @@ try:
 except ImportError as error:
     raise ImportError("macid.parallel_env needs PettingZoo: pip install 'bson-macid[pettingzoo]'.") from error
 
+MAX_PEOPLE = 10_000
 REWARDS = ("individual", "coordinated")
 
 
@@ -75,7 +79,11 @@ class CrowdParallelEnv(ParallelEnv):
     ):
         if reward not in REWARDS:
             raise ValueError(f"Unknown reward '{reward}'. Choose one of {', '.join(REWARDS)}.")
+        self._arguments = (level, config, number, reward, weights, engine)
+        forks.refuse()
         layout = level if isinstance(level, Layout) else load_level(level)
+        if number is not None and not _is_whole(number, 1, MAX_PEOPLE):
+            raise ValueError(f"number must be a whole number from 1 to {MAX_PEOPLE}, not {shown(number)}.")
         if number is None:
             number = config.number if layout.pedestrians is None else layout.pedestrians
         self.crowd = Crowd(layout, dataclasses.replace(config, number=number), engine=engine)
@@ -93,7 +101,33 @@ class CrowdParallelEnv(ParallelEnv):
             agent: gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32) for agent in self.possible_agents
         }
         self._advance_jitted, self._look_jitted = jax.jit(self._advance), jax.jit(self._look)
-        self._rng = self._seed = self._episode = None
+        self._rng = self._seed = self._episode = self._lcf = self._steps = None
+        self._moments = []
+
+    def __reduce__(self):
+        return type(self), self._arguments
+
+    def __deepcopy__(self, memo):
+        """Another one that plays on equally from here."""
+        made = memo[id(self)] = type(self)(*self._arguments)
+        kept = ("crowd", "_advance_jitted", "_look_jitted", "_arguments", "_episode", "_moments")
+        for name, value in vars(self).items():
+            if name not in kept:
+                setattr(made, name, copy.deepcopy(value, memo))
+        made._episode, made._moments = self._episode, list(self._moments)  # each is never changed
+        if self.crowd is None:
+            made.close()
+        return made
+
+    def close(self):
+        """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
+        self.crowd = self._episode = self._advance_jitted = self._look_jitted = None
+        self._moments = []
+
+    def _check_usable(self):
+        if self.crowd is None:
+            raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
+        forks.refuse()
 
     def observation_space(self, agent):
         """The Box (41,) of `agent`; unbounded where contacts can push people faster than they walk."""
@@ -115,7 +149,7 @@ class CrowdParallelEnv(ParallelEnv):
         self._check_begun()
         lcf = self._lcf.copy()
         if isinstance(value, dict):
-            if unknown := sorted(set(value) - set(self.possible_agents)):
+            if unknown := sorted(map(str, set(value) - set(self.possible_agents))):
                 raise ValueError(f"Unknown agent '{unknown[0]}': they are person_0 to {self.possible_agents[-1]}.")
             for agent, one in value.items():
                 lcf[self._index[agent]] = _number(one)
@@ -134,16 +168,28 @@ class CrowdParallelEnv(ParallelEnv):
 
     def reset(self, seed=None, options=None):
         """Begins an episode: observations and infos, {agent: ...}. Unknown options are told by a warning."""
-        if seed is not None or self._rng is None:
-            self._rng = np.random.default_rng(None if seed is None else (seed, *self._seeding))
-            self._seed = seed
+        self._check_usable()
+        if seed is not None and not _is_whole(seed, 0, 2**62 - 1):
+            raise ValueError(f"A seed must be a whole number from 0 to 2**62 - 1, not {shown(seed)}.")
+        if options is not None and not isinstance(options, dict):
+            raise ValueError(f"options must be a dict, not {shown(options)}.")
         options = options or {}
-        if unknown := sorted(set(options) - {"lcf"}):
+        if unknown := sorted(map(str, set(options) - {"lcf"})):
             warnings.warn(f"Unknown option '{unknown[0]}' is ignored. There is one: lcf.", stacklevel=2)
-        self._episode = self.crowd.reset(self._rng)
-        self._lcf, self._steps = np.array(self._episode.lcf[0]), 0
-        if "lcf" in options:
-            self.lcf = options["lcf"]
+        names = ("_rng", "_seed", "_episode", "_lcf", "_steps")
+        before = {name: copy.deepcopy(getattr(self, name)) if name == "_rng" else getattr(self, name) for name in names}
+        try:
+            if seed is not None or self._rng is None:
+                seed = None if seed is None else int(seed)
+                self._rng = np.random.default_rng(None if seed is None else (seed, *self._seeding))
+                self._seed = seed
+            self._episode = self.crowd.reset(self._rng)
+            self._lcf, self._steps = np.array(self._episode.lcf[0]), 0
+            if "lcf" in options:
+                self.lcf = options["lcf"]
+        except BaseException:  # the episode before goes on
+            vars(self).update(before)
+            raise
         self.agents = self.possible_agents[:]
         observed, moment = jax.device_get(self._look_jitted(self._episode))
         self._moments = [moment]
@@ -155,6 +201,7 @@ class CrowdParallelEnv(ParallelEnv):
         Returns observations, rewards, terminations, truncations and infos, {agent: ...}, of those who acted.
         Raises ValueError where an action is missing or not finite, gymnasium.error.ResetNeeded where nobody is left.
         """
+        self._check_usable()
         if not self.agents:
             raise gymnasium.error.ResetNeeded("Nobody is on the map. Call reset before step.")
         self._episode, told, moment = self._advance_jitted(self._episode, self._stack(actions))
@@ -215,9 +262,12 @@ class CrowdParallelEnv(ParallelEnv):
             )
         stacked = np.zeros((len(self.possible_agents), ACTIONS), np.float32)
         for agent in self.agents:
-            action = np.asarray(actions[agent], np.float32)
+            try:
+                action = np.asarray(actions[agent], np.float32)
+            except (TypeError, ValueError, OverflowError, RuntimeError):
+                action = np.empty(0)
             if action.shape != (ACTIONS,) or not np.isfinite(action).all():
-                raise ValueError(f"An action is {ACTIONS} finite numbers, not {agent}'s {actions[agent]!r}.")
+                raise ValueError(f"An action is {ACTIONS} finite numbers, not {agent}'s {shown(actions[agent])}.")
             stacked[self._index[agent]] = action
         return stacked
 
@@ -231,6 +281,7 @@ class CrowdParallelEnv(ParallelEnv):
 
     def _check_begun(self):
         if self._episode is None:
+            self._check_usable()
             raise gymnasium.error.ResetNeeded("Call reset first.")
 
 
@@ -249,6 +300,10 @@ def observation_bounds(size):
 
 
 def _number(value):
-    if not isinstance(value, numbers.Real) or not np.isfinite(value):
-        raise ValueError(f"An LCF is a finite number, not {value!r}.")
+    if not is_number(value):
+        raise ValueError(f"An LCF is a finite number, not {shown(value)}.")
     return float(value)
+
+
+def _is_whole(value, least, most):
+    return isinstance(value, numbers.Integral) and is_number(value, least, most)

@@ -341,16 +341,23 @@ def _made(path, weights, recipe):
     return Policy(layers, document)
 
 
+_Name = Annotated[str, msgspec.Meta(pattern=r"^[ -~]{1,200}\Z")]  # on one line of any terminal
+
+
 class _Recipe(msgspec.Struct):
     """What is read of the recipe of a pedestrians' policy. What else there is was noted for people."""
 
-    name: str | msgspec.UnsetType = msgspec.UNSET
-    method: str | msgspec.UnsetType = msgspec.UNSET
+    name: _Name | msgspec.UnsetType = msgspec.UNSET
+    method: _Name | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
     inputs: Literal[tuple(INPUTS)] | msgspec.UnsetType = msgspec.UNSET
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
+
+    def __post_init__(self):
+        if (self.lcf_mean is msgspec.UNSET) != (self.lcf_std is msgspec.UNSET):
+            raise ValueError("lcf_mean and lcf_std come together")
 
 
 def check_layers(layers):
@@ -369,9 +376,10 @@ def check_layers(layers):
         for name, array in (("weight", weight), ("bias", bias)):
             if array.dtype.kind != "f":
                 raise ValueError(f"{name}{number} has numbers of type {array.dtype}, not floats")
-            if not (np.abs(array) <= MOST_WEIGHT).all():
-                worst = array[~(np.abs(array) <= MOST_WEIGHT)].flat[0]
-                raise ValueError(f"{name}{number} holds {worst:g}; weights are finite, from -{MOST_WEIGHT:g} to {MOST_WEIGHT:g}")
+            wrong = ~(np.abs(array, dtype=np.float64) <= MOST_WEIGHT)
+            if wrong.any():
+                told = f"{array[wrong].flat[0]:g}; weights are finite, from -{MOST_WEIGHT:g} to {MOST_WEIGHT:g}"
+                raise ValueError(f"{name}{number} holds {told}")
         width = weight.shape[1]
 
 

@@ -3,15 +3,24 @@
 import dataclasses
 
 from macid import geometry
+from macid.documents import MOST_NUMBER, is_number, shown
 
 
 @dataclasses.dataclass(frozen=True)
 class RewardWeights:
-    """Weights of eq. 5; the collision weight is a penalty."""
+    """Weights of eq. 5; the collision weight is a penalty. Raises ValueError for what is no number."""
 
     distance: float = 10.0  # per metre that the goal came closer
     goal: float = 1.0
     collision: float = 0.6
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            if not is_number(value := getattr(self, field.name)):
+                raise ValueError(
+                    f"RewardWeights: {field.name} must be a number from {-MOST_NUMBER:g} to {MOST_NUMBER:g}, "
+                    f"not {shown(value)}."
+                )
 
 
 def individual_reward(distance_reduced, arrived, collided, weights=RewardWeights()):

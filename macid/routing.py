@@ -11,6 +11,7 @@ from macid.layout import NoFreeSpace
 from macid.state import RADIUS
 
 RESOLUTION = 0.5  # side of a grid cell [m]
+_DETOUR, _DETOUR_LENGTH = 1.3, 3.0  # a way is first looked for up to this share of the bee line and this length [m]
 _MARGIN = 0.1  # kept from obstacles beside the radius, where there is room [m]
 
 
@@ -104,7 +105,7 @@ class Router:
 
     @functools.cached_property
     def _grid(self):
-        """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, in metres."""
+        """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, to and fro, in metres."""
         occupied = occupancy_grid(self.layout, radius=self.radius + _MARGIN)
         cells = len(occupied)
         number = np.full(occupied.shape, -1)
@@ -122,6 +123,7 @@ class Router:
             lengths.append(np.full(joined.sum(), RESOLUTION * np.hypot(di, dj)))
         edges = (np.concatenate(lengths), (np.concatenate(sources), np.concatenate(targets)))
         graph = sparse.coo_matrix(edges, shape=(len(rows),) * 2).tocsr()
+        graph = graph + graph.T
         centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
         if not len(centres):
             raise NoFreeSpace(f"Map '{self.layout.name}' has no free cell.")
@@ -153,7 +155,10 @@ class Router:
             return goal[None]
         centres, graph = self._grid
         first, last = self._nearest[0].query([start, goal])[1]
-        lengths, before = csgraph.dijkstra(graph, directed=False, indices=last, return_predecessors=True)
+        for reach in (_DETOUR * np.hypot(*(goal - start)) + _DETOUR_LENGTH, np.inf):  # mostly the near part will do
+            lengths, before = csgraph.dijkstra(graph, indices=last, return_predecessors=True, limit=reach)
+            if np.isfinite(lengths[first]):
+                break
         if not np.isfinite(lengths[first]):
             raise NoFreeSpace(
                 f"Map '{self.layout.name}': no way from {np.round(start, 2).tolist()} to {np.round(goal, 2).tolist()}."

@@ -3,9 +3,9 @@
     tools/reproduce_tables.py --policies assets/policies --out tables
 
 Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
-figure2.png and figure2.csv. Policies that are not in the folder are trained to OUT/runs; each evaluation is kept in
-OUT/rows; so a stopped run goes on where it was. A method's figures are the mean over its seeds and their (sample)
-standard deviation.
+knob.md (how each policy's LCF works, on these and on maps of other kinds), figure2.png and figure2.csv. Policies that
+are not in the folder are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it
+was. A method's figures are the mean over its seeds and their (sample) standard deviation.
 """
 
 import argparse
@@ -22,9 +22,10 @@ from macid.crowd import CrowdConfig
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
-from macid.learning.curves import plain
+from macid.learning.curves import completed, plain
 from macid.learning.methods import METHODS
-from macid.learning.train import PRESETS, TrainConfig, train
+from macid.learning.train import TrainConfig, preset, train
+from macid.metrics import rank_correlation
 from macid.policy import load_policy
 from macid.state import PHYSICS_STEP
 
@@ -34,7 +35,8 @@ PERIODS = (0.04, 0.1)  # between decisions [s], beside the usual 0.02; 0.05 is n
 BUDGET = 30e6  # agent-steps of a training
 SLOWER = 0.4  # of the budget at other periods, where a decision lasts longer
 SEEDS, OTHERS_SEEDS = 5, 3  # of each method; of other hyperparameters and periods
-KNOB_PEOPLE = 100  # people in all episodes of a section together, on every map, where a policy's knob is measured
+AS_GIVEN = ("ipo", "macid")  # in the preset `paper`
+TABLES = ("table2", "periods", "table1", "knob")  # table2: with walking.md and Fig. 2
 MIXED = 2  # times as many episodes of mixed crowds, whose people are of all sections
 RULES = ("social-force", "social-force-progress", "social-force-bodies", "orca")
 
@@ -60,10 +62,12 @@ PAPER_TABLE_1 = (
 def wanted(agent_steps, seeds=None):
     """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
-    others = [TrainConfig(method="ipo", ppo=PRESETS[preset]) for preset in ("paper", "paper-ppo")]
+    others = [preset("paper-ppo", method="ipo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
-    return {
+    papers = [preset("paper", method=method) for method in AS_GIVEN]  # to the paper's own budget
+    share = agent_steps / BUDGET
+    return {replace(config, agent_steps=int(share * config.agent_steps)): seeds or OTHERS_SEEDS for config in papers} | {
         replace(config, agent_steps=int(share * agent_steps)): seeds or count
         for configs, count, share in groups
         for config in configs
@@ -75,13 +79,17 @@ def find_policies(configs, *folders):
 
     Who has the name of one of `configs` but was trained otherwise is told of and left out: tables are of equal samples.
     """
-    recipes, found = {config.name: plain(config) for config in configs}, {}
+    configs, found = {config.name: config for config in configs}, {}
     for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
         recipe = load_policy(str(file)).recipe
         name, seed = recipe.get("name", file.stem), recipe.get("seed", 0)
-        wanted = {**recipes.get(name, recipe), "seed": seed, "engine": recipe.get("engine")}
-        if other := [field for field in wanted if recipe.get(field) != wanted[field]]:
-            told = ", ".join(f"{field} is {recipe.get(field)}, not {wanted[field]}" for field in other)
+        if name in configs:
+            have = completed(recipe, configs[name])
+            wanted = {**plain(configs[name]), "seed": seed, "engine": recipe.get("engine")}
+        else:
+            have = wanted = recipe
+        if other := [field for field in wanted if have.get(field) != wanted[field]]:
+            told = ", ".join(f"{field} is {have.get(field)}, not {wanted[field]}" for field in other)
             print(f"left out: '{file}' is no {name} of these tables: {told}", file=sys.stderr, flush=True)
             continue
         found.setdefault(name, {}).setdefault(seed, file)
@@ -112,16 +120,15 @@ def evaluated(rows, file, level, lcf, episodes):
     return kept(rows, file, level, [plain(config), episodes], play)
 
 
-def knob(rows, file, level):
+def knob(rows, file, level, episodes):
     """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
-    config = CrowdConfig(period=usual_period(str(file)))
-    episodes = max(1, round(KNOB_PEOPLE / load_level(level).pedestrians))
+    config, mixed = CrowdConfig(period=usual_period(str(file))), MIXED * episodes
 
     def play():
         print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
-        return measure_knob(str(file), level, episodes, MIXED * episodes, config=config)
+        return measure_knob(str(file), level, episodes, mixed, config=config)
 
-    return kept(rows, file, level, ["knob", plain(config), episodes, MIXED], play)
+    return kept(rows, file, level, ["knob", plain(config), episodes, mixed], play)
 
 
 def kept(rows, file, level, settings, play):
@@ -160,8 +167,13 @@ def over_seeds(rows_by_seed, columns=COLUMNS):
 
 
 def line(label, mean, std=None):
-    """A row of a Markdown table."""
+    """A row of a Markdown table; "-" for NaN."""
     cells = [f"{m:.1f}" if std is None else f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, mean if std is None else std)]
+    return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells)])
+
+
+def text_row(label, cells):
+    """A row of a Markdown table, of texts."""
     return f"| {label} | " + " | ".join(cells) + " |"
 
 
@@ -171,10 +183,44 @@ def header(first, columns=COLUMNS):
     return [f"| {first} | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
 
 
-def spearman(values):
-    """Rank correlation of `values` with their order."""
-    ranks = np.argsort(np.argsort(values))
-    return float(np.corrcoef(np.arange(len(values)), ranks)[0, 1])
+def ranks(values):
+    """`rank_correlation` of every column of `values` (sections, columns): (columns,)."""
+    return np.array([rank_correlation(column) for column in np.transpose(values)])
+
+
+def told_range(values, digits=2):
+    """The mean of `values` with the least and the greatest, as text; those that are NaN don't count."""
+    known = np.asarray(values, float)[np.isfinite(values)]
+    numbers = (known.mean(), known.min(), known.max()) if len(known) else ()
+    return "{} [{}, {}]".format(*(f"{number:.{digits}f}" for number in numbers)) if numbers else "-"
+
+
+KNOB = {  # of knob.md: the figure of `measure_knob`, and what it is
+    "CP": "CP, everybody's LCF of one section",
+    "SR10": "SR10, everybody's LCF of one section",
+    "own_CP": "own CP by own LCF, in crowds of everybody's LCF",
+}
+
+
+def knob_table(figure, by_method, levels):
+    """Lines of a table: rank correlations of a figure of KNOB with the LCF, a row a policy, a column a level.
+
+    by_method: {method: [seed][level] rows of `measure_knob`}. The last columns are of the figure's mean over the levels:
+    its rank correlation, and what it is in the most adversarial section and in the most cooperative one.
+    """
+    names = [*map(level_name, levels), "all maps", "first to last section"]
+    lines = [text_row(KNOB[figure], names), "|---" * (1 + len(names)) + "|"]
+    for method, seeds in by_method.items():
+        found = []
+        for rows in seeds:
+            values = np.array([[np.nan if v is None else v for v in of_level[figure]] for of_level in rows])  # levels, 6
+            mean = values.mean(axis=0)
+            found.append([*ranks(values.T), rank_correlation(mean)])
+            cells = ["-" if np.isnan(r) else f"{r:.2f}" for r in found[-1]]
+            name = pathlib.Path(rows[0]["pedestrian"]).stem
+            lines.append(text_row(name, [*cells, f"{mean[0]:.1f} to {mean[-1]:.1f}"]))
+        lines.append(text_row(f"*{method}, mean and range*", [*map(told_range, zip(*found, strict=True)), ""]))
+    return lines
 
 
 def plot(curves, path):
@@ -229,6 +275,26 @@ def run(args):
         write_bytes(out / name, ("\n".join(lines) + "\n").encode())
         print("\n".join(["", f"{out / name}:", *lines]))
 
+    if "table2" in args.tables:
+        _table2(args, models, policies, tabled, label, write)
+    if "periods" in args.tables:
+        _periods(args, configs, policies, tabled, label, write)
+    methods = {config.name: METHODS[config.method] for config in configs if config.name in usual}
+    turned = [m for m in methods if m in policies and methods[m].lcf[0] < methods[m].lcf[1] and not methods[m].meta]
+    if "table1" in args.tables and turned:
+        write("table1.md", _table1(turned, policies, tabled))
+    if "knob" in args.tables and turned:
+        levels = LEVELS + OTHER_LEVELS
+        by_method = {
+            m: [[knob(rows, file, level, args.episodes) for level in levels] for file in policies[m]] for m in turned
+        }
+        lines = [line for figure in KNOB for line in ["", *knob_table(figure, by_method, levels)]]
+        write("knob.md", lines[1:])
+    return 0
+
+
+def _table2(args, models, policies, tabled, label, write):
+    """Writes Table II, how people walk, and Fig. 2."""
     table, walking, curves = header("model"), header("model", WALKING), {}
     for name, files in models.items():
         seeds = tabled(name, files)
@@ -245,10 +311,13 @@ def run(args):
     for name, curve in curves.items():
         for level, values in zip(LEVELS, curve, strict=True):
             lines += [f"{name},{level},{n},{value:.3f}" for n, value in enumerate(values, start=1)]
-    write_bytes(out / "figure2.csv", ("\n".join(lines) + "\n").encode())
-    plot(curves, out / "figure2.png")
+    write_bytes(pathlib.Path(args.out) / "figure2.csv", ("\n".join(lines) + "\n").encode())
+    plot(curves, pathlib.Path(args.out) / "figure2.png")
 
-    compared = [c for c in configs if c.method in ("ipo", "copo", "macid") and c.ppo == PRESETS["fast"]]
+
+def _periods(args, configs, policies, tabled, label, write):
+    """Writes the table of times between decisions."""
+    compared = [c for c in configs if c.method in ("ipo", "copo", "macid") and c.ppo == TrainConfig.ppo]
     table = header("decides every", COLUMNS)
     for config in sorted(compared, key=lambda config: config.period):
         if files := policies.get(config.name):
@@ -259,22 +328,24 @@ def run(args):
                 note_scores(files, seeds)
     write("periods.md", table)
 
-    sections = []
-    for method in METHODS:
-        if method not in policies or METHODS[method].lcf[0] == METHODS[method].lcf[1] or METHODS[method].meta:
-            continue
-        table, means = header(f"{method}: LCF"), []
+
+def _table1(turned, policies, tabled):
+    """Lines of Table I, for each of the methods `turned`."""
+    lines = []
+    for method in turned:
+        table, seeds = header(f"{method}: LCF"), []
         for number, lcf in enumerate(lcf_bins(str(policies[method][0]))):
-            mean, std = over_seeds(tabled(method, policies[method], lcf))
-            means.append(mean)
-            table.append(line(f"({lcf[0]:.2f}, {lcf[1]:.2f})", mean, std))
+            by_seed = tabled(method, policies[method], lcf)
+            table.append(line(f"({lcf[0]:.2f}, {lcf[1]:.2f})", *over_seeds(by_seed)))
+            seeds.append([over_seeds([levels])[0] for levels in by_seed])
             if method == "macid":
                 table.append(line("*paper*", PAPER_TABLE_1[number]))
-        table.append(line("rank correlation with the LCF", [spearman(column) for column in np.array(means).T]))
-        sections += [*table, ""]
-    if sections:
-        write("table1.md", sections[:-1])
-    return 0
+        seeds = np.array(seeds)  # section, seed, column
+        table.append(line("rank correlation of the means with the LCF", ranks(np.nanmean(seeds, axis=1))))
+        by_seed = [ranks(seeds[:, seed]) for seed in range(seeds.shape[1])]
+        table.append(text_row("of each seed: mean and range", map(told_range, zip(*by_seed, strict=True))))
+        lines += [*table, ""]
+    return lines[:-1]
 
 
 def main():
@@ -294,6 +365,7 @@ def main():
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
+    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
     parser.add_argument("--out", type=name, default="tables")
 

@@ -30,6 +30,7 @@ BUILT_IN = {
     "stop": "bson.agents.scripted:stop",
     "random": "bson.agents.scripted:Random",
     "goal": "bson.agents.scripted:goal",
+    "stop-and-go": "bson.agents.scripted:stop_and_go",
     "vfh": "bson.agents.vfh:Vfh",
     "dwa": "bson.agents.dwa:Dwa",
     "astar": "bson.agents.planning:AStar",

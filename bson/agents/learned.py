@@ -43,10 +43,11 @@ class Learned:
 
     def act(self, x):
         """Actions (N, 2) for features (N, FEATURES)."""
-        for weight, bias in self._layers[:-1]:
-            x = np.maximum(x @ weight + bias, 0.0)
-        weight, bias = self._layers[-1]
-        return self._output(x @ weight + bias)
+        with np.errstate(over="ignore", invalid="ignore"):  # whoever acts by it refuses what is not finite
+            for weight, bias in self._layers[:-1]:
+                x = np.maximum(x @ weight + bias, 0.0)
+            weight, bias = self._layers[-1]
+            return self._output(x @ weight + bias)
 
 
 def names():

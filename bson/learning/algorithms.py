@@ -1,4 +1,5 @@
-"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters; the paper's where it gives one (sec. VI-D).
+"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset `paper`
+of bson.learning.train; the defaults differ where that learns better, or in less time.
 
 Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's and
 TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
@@ -64,6 +65,7 @@ class SacConfig:
     learning_starts: int = 10_000  # random steps before
     steps_per_update: int = 16  # one a control step of 16 worlds
     q: float = 1.0  # entropic index
+    joint: bool = False  # ln_q of the action's density; False: the sum over its dimensions of ln_q of each one's
 
     def build(self, env, seed):
         """The stable-baselines3 model that learns in `env`."""
@@ -79,7 +81,7 @@ class SacConfig:
             learning_starts=self.learning_starts,
             train_freq=every,
             gradient_steps=every * env.num_envs // self.steps_per_update,
-            policy_kwargs={"net_arch": list(self.hidden), "q": self.q},
+            policy_kwargs={"net_arch": list(self.hidden), "q": self.q, "joint": self.joint},
             seed=seed,
             device="cpu",
         )

@@ -19,6 +19,7 @@ class BcConfig:
     keep: float = 0.5  # share of the episodes, those of the highest SNS
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 1e-3
+    final_learning_rate: float = 5e-5  # annealed to, linearly over training
     batch: int = 256
     epochs: int = 20
 
@@ -78,7 +79,8 @@ def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
     x, action = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
     held = max(1, len(x) // 20)
     batches = max(1, (len(x) - held) // config.batch)
-    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, config.epochs * batches)
+    last = config.final_learning_rate / config.learning_rate
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, last, config.epochs * batches)
     for epoch in range(1, config.epochs + 1):
         total = 0.0
         for rows in (held + torch.randperm(len(x) - held)).chunk(batches):

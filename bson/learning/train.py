@@ -39,6 +39,18 @@ from macid.learning.curves import (
 from macid.policy import MOST_RECIPE_BYTES, write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+_PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
+# Named sets of hyperparameters: {preset: {algorithm: configuration}}.
+PRESETS = {
+    "fast": ALGORITHMS,
+    # What the paper gives (secs. IV-C, VI-D). The entropy's weight is that of TAC's authors (Lee et al. 2020), as the paper has none.
+    "paper": {
+        "ppo": PpoConfig(final_learning_rate=1e-3, gamma=0.999, batch=128, epochs=10),
+        "sac": _PAPER_SAC,
+        "tac": dataclasses.replace(_PAPER_SAC, q=1.2),
+        "bc": BcConfig(hidden=(1024, 1024), final_learning_rate=1e-3),
+    },
+}
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
 _VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
 _RECENT = 100  # ended episodes over which the curve's means go
@@ -77,9 +89,13 @@ class TrainConfig:
 
     @property
     def name(self):
-        """The algorithm, and among whom where these are not the default pedestrians: "ppo", "ppo-orca"."""
-        model = self.task.get("pedestrian_model")
-        return f"{self.algo}-{pathlib.Path(model).stem}" if isinstance(model, str) else self.algo
+        """The algorithm, its preset where that is not the default, and among whom where these are not the default
+        pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
+        paper, model = PRESETS["paper"][self.algo], self.task.get("pedestrian_model")
+        if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
+            paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
+        parts = [self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 
 class _Keeper:

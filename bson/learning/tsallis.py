@@ -16,29 +16,31 @@ def log_q(log_x, q):
 
 
 class TsallisActor(Actor):
-    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities."""
+    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities, or, `joint`, ln_q of their product."""
 
-    q = 1.0
+    q, joint = 1.0, False
 
     def action_log_prob(self, obs):
-        """Actions (N, 2) drawn for `obs` (N, features), and the sum over dimensions of ln_q pi (N,)."""
+        """Actions (N, 2) drawn for `obs` (N, features), and their ln_q pi (N,)."""
         mean, log_std, kwargs = self.get_action_dist_params(obs)
         action = self.action_dist.actions_from_params(mean, log_std, **kwargs)
         gaussian = self.action_dist.distribution.log_prob(self.action_dist.gaussian_actions)
         log_density = gaussian - torch.log(1.0 - action**2 + _EPSILON)
+        if self.joint:
+            return action, log_q(log_density.sum(dim=-1), self.q)
         return action, log_q(log_density, self.q).sum(dim=-1)
 
 
 class TsallisPolicy(SACPolicy):
     """SAC's networks with a TsallisActor of the entropic index `q`."""
 
-    def __init__(self, *args, q=1.2, **kwargs):
-        self._q = q  # before the networks are built
+    def __init__(self, *args, q=1.2, joint=False, **kwargs):
+        self._q, self._joint = q, joint  # before the networks are built
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor=None):
         """The actor; called by SACPolicy."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
         actor = TsallisActor(**kwargs).to(self.device)
-        actor.q = self._q
+        actor.q, actor.joint = self._q, self._joint
         return actor

@@ -1,4 +1,4 @@
-"""BSON's vector environment as stable-baselines3 wants it, with features for observations."""
+"""BSON's vector environment as stable-baselines3 wants it: with all that is observed, or with features of it."""
 
 import types
 
@@ -12,15 +12,118 @@ from bson.env import BsonVectorEnv
 from bson.features import FEATURES, Features
 
 
-class FeatureVecEnv(VecEnv):
+class _Worlds(VecEnv):
+    """What both have: worlds of one configuration, which are no objects of their own."""
+
+    _env: BsonVectorEnv | gymnasium.vector.VectorEnv
+    _actions = None
+
+    def step_async(self, actions):
+        """Keeps `actions` (num_envs, 2) for `step_wait`."""
+        self._actions = actions
+
+    def close(self):
+        """Frees all that it holds; closing twice does no harm."""
+        self._env.close()
+
+    def get_attr(self, attr_name, indices=None):
+        """An attribute of this environment, once for each of `indices`."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name, value, indices=None):
+        """Not possible: all worlds share one configuration."""
+        raise NotImplementedError(f"The worlds share one configuration: make another {type(self).__name__}.")
+
+    def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
+        """Not possible: the worlds are no objects of their own."""
+        raise NotImplementedError("The worlds of a batch have no methods of their own.")
+
+    def env_is_wrapped(self, wrapper_class, indices=None):
+        """Whether each of `indices` is wrapped: never."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class WorldsVecEnv(_Worlds):
+    """What `gymnasium.make_vec` gives, for stable-baselines3, which takes no Gymnasium vector environment:
+
+        env = WorldsVecEnv(gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=8))
+        PPO("MultiInputPolicy", env).learn(100_000)
+
+    Observations are the dicts of all worlds. A world whose episode ended begins its next in the same step, in each of
+    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r, length
+    l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields for it,
+    the same for all worlds. Raises ValueError for an environment that is not BSON's.
+    """
+
+    def __init__(self, env):
+        if not isinstance(getattr(env, "unwrapped", None), BsonVectorEnv):
+            raise ValueError(f"WorldsVecEnv takes what gymnasium.make_vec('BSON/...') gives, not {env!r}.")
+        self._env, self.render_mode = env, None
+        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, int)
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    @property
+    def world(self):
+        """The World of all, for whoever needs more than the observation."""
+        return self._env.unwrapped.world
+
+    def reset(self):
+        """Begins an episode in every world; their observations."""
+        options = self._options[0]
+        if any(other != options for other in self._options):
+            raise ValueError("The worlds share one configuration: give one set of options for all.")
+        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        observation, info = self._env.reset(seed=seeds, options=options or None)
+        self.reset_infos = self._infos(info)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return observation
+
+    def step_wait(self):
+        """A control step: observations, rewards (num_envs,), dones, infos."""
+        observation, reward, terminated, truncated, info = self._env.step(self._actions)
+        self._returns += reward
+        self._lengths += 1
+        done = terminated | truncated
+        final = info.get("final_info", info)
+        infos = self._infos(info)
+        if not done.any():
+            return observation, reward.astype(np.float32), done, infos
+        ended, of_the_end = np.flatnonzero(done), self._infos(final)
+        for index in ended:
+            if "final_obs" in info:
+                last = info["final_obs"][index]
+            else:
+                last = {name: value[index].copy() for name, value in observation.items()}
+            infos[index] = {
+                **of_the_end[index],
+                "terminal_observation": last,
+                "TimeLimit.truncated": bool(truncated[index] and not terminated[index]),
+                "episode": {"r": float(self._returns[index]), "l": int(self._lengths[index])},
+            }
+        if "final_obs" not in info:
+            observation, info = self._env.reset(options={"reset_mask": done})
+        begun = self._infos(info)
+        for index in ended:
+            self.reset_infos[index] = begun[index]
+        self._returns[ended], self._lengths[ended] = 0.0, 0
+        return observation, reward.astype(np.float32), done, infos
+
+    def _infos(self, info):
+        """One dict a world, of a vector environment's."""
+        names = [name for name in info if f"_{name}" in info and not name.startswith("final_")]
+        return [{name: info[name][index] for name in names} for index in range(self.num_envs)]
+
+
+class FeatureVecEnv(_Worlds):
     """`num_envs` worlds of the task `config` (TaskConfig's fields). An ended episode's info has `episode`: return r,
     length l, and the parts of the score."""
 
     def __init__(self, num_envs, seed, nthread=0, **config):
         self._env = BsonVectorEnv(num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config)
         self._features, self._all = Features(num_envs), np.arange(num_envs)
-        self._returns, self._actions = np.zeros(num_envs), None
-        self.render_mode = None
+        self._returns, self.render_mode = np.zeros(num_envs), None
         space = gymnasium.spaces.Box(-10.0, 10.0, (FEATURES,), np.float32)
         super().__init__(num_envs, space, self._env.single_action_space)
 
@@ -34,10 +137,6 @@ class FeatureVecEnv(VecEnv):
         observation, _ = self._env.reset()
         self._returns[:] = 0.0
         return self._features.begin(self._all, observation)
-
-    def step_async(self, actions):
-        """Keeps `actions` (num_envs, 2) for `step_wait`."""
-        self._actions = actions
 
     def step_wait(self):
         """A control step: features, rewards (num_envs,), dones, infos. Worlds whose episodes ended begin their next."""
@@ -77,22 +176,3 @@ class FeatureVecEnv(VecEnv):
             "PE": metrics.path_efficiency(driven),
             "success": float(info["arrived"][index]),
         }
-
-    def close(self):
-        """Nothing is held open."""
-
-    def get_attr(self, attr_name, indices=None):
-        """An attribute of this environment, once for each of `indices`."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name, value, indices=None):
-        """Not possible: all worlds share one configuration."""
-        raise NotImplementedError("The worlds share one configuration: make another FeatureVecEnv.")
-
-    def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
-        """Not possible: the worlds are no objects of their own."""
-        raise NotImplementedError("The worlds of a batch have no methods of their own.")
-
-    def env_is_wrapped(self, wrapper_class, indices=None):
-        """Whether each of `indices` is wrapped: never."""
-        return [False for _ in self._get_indices(indices)]

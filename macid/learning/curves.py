@@ -21,6 +21,20 @@ def plain(config):
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
+def completed(saved, config):
+    """A configuration that was `saved`, as `plain` has it, with the fields that it lacks, since they came later, at their
+    defaults. config: a configuration (a dataclass) of the kind."""
+    whole = dict(saved)
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            if isinstance(whole.get(field.name), dict):
+                whole[field.name] = {**plain(type(value)()), **whole[field.name]}
+        elif field.default is not dataclasses.MISSING:
+            whole.setdefault(field.name, json.loads(json.dumps(field.default)))
+    return whole
+
+
 def training_folder(path, config, resume):
     """`path` as the folder of a training: it gets config.json.
 
@@ -29,7 +43,7 @@ def training_folder(path, config, resume):
     """
     folder, noted = output_folder(path), plain(config)
     if any((folder / name).exists() for name in (CHECKPOINT, OLD_CHECKPOINT, "policy.npz", "policy.json")):
-        before = read_config(folder) if (folder / "config.json").exists() else noted
+        before = completed(read_config(folder), config) if (folder / "config.json").exists() else noted
         if changed := sorted(name for name in {*before, *noted} if before.get(name) != noted.get(name)):
             told = ", ".join(f"{name} is {before.get(name)}, not {noted.get(name)}" for name in changed)
             raise UsageError(

@@ -11,7 +11,8 @@ from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
 
 @dataclasses.dataclass(frozen=True)
 class PpoConfig:
-    """Hyperparameters. The defaults are the paper's where it gives one (sec. IV-C); it tells of no annealing."""
+    """Hyperparameters. What the paper gives (sec. IV-C), without annealing, scaling, clipping or standardising anything but
+    the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns better."""
 
     learning_rate: float = 1e-3
     final_learning_rate: float = 5e-5  # annealed to, linearly over training
@@ -20,23 +21,33 @@ class PpoConfig:
     lam: float = 0.95  # lambda of GAE
     batch: int = 2048
     epochs: int = 5
-    max_gradient_norm: float = 0.5  # of each network
+    max_gradient_norm: float | None = 0.5  # of each network; None: not clipped
     reward_scale: float = 0.1  # inside GAE and value losses
     log_std: float = -0.5  # initial
     entropy: float = 0.0
+    standardize: bool = True  # the advantages of an update, to mean 0 and standard deviation 1
+    targets: str = "lambda"  # of the values: GAE's lambda-returns, or eq. 4's returns to the episode's end ("episode")
+    arrival: str = "mean"  # at a goal, whereupon there is a new one: see `gae`
+
+    def __post_init__(self):
+        if self.targets not in ("lambda", "episode"):
+            raise ValueError(f"targets must be 'lambda' or 'episode', not '{self.targets}'.")
+        if self.arrival not in ("mean", "end"):
+            raise ValueError(f"arrival must be 'mean' or 'end', not '{self.arrival}'.")
 
 
-def gae(reward, value, last_value, gamma, lam, redrawn=None):
+def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
     reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
     redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
     follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
+    arrival: "end" instead of "mean": an episode ends there, and what follows does not count at all.
     """
     next_value = jnp.concatenate([value[1:], last_value[None]])
     if redrawn is None:
         redrawn = jnp.zeros(reward.shape, bool)
-    typical = jnp.sum(next_value * redrawn) / jnp.maximum(jnp.sum(redrawn), 1)
+    typical = 0.0 if arrival == "end" else jnp.sum(next_value * redrawn) / jnp.maximum(jnp.sum(redrawn), 1)
     next_value = jnp.where(redrawn, typical, next_value)
     decay = jnp.where(redrawn, 0.0, gamma * lam)
 
@@ -50,6 +61,21 @@ def gae(reward, value, last_value, gamma, lam, redrawn=None):
     return advantage, advantage + value
 
 
+def discounted_returns(reward, gamma, ends=None):
+    """Eq. 4's targets: the sum over t' from t to the end of gamma^(t' - t) reward (T, ...).
+
+    ends (T, ...) bool: the steps with which an episode ends, beside the last one.
+    """
+
+    def backward(following, now):
+        reward, end = now
+        following = reward + jnp.where(end, 0.0, gamma * following)
+        return following, following
+
+    ends = jnp.zeros(reward.shape, bool) if ends is None else ends
+    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, ends), reverse=True)[1]
+
+
 def init_mlp(key, sizes, last_scale):
     """Layers of a network: orthogonal weights, zero biases, the last layer's weights scaled by `last_scale`."""
     keys = jax.random.split(key, len(sizes) - 1)
@@ -61,11 +87,11 @@ def init_mlp(key, sizes, last_scale):
     return layers
 
 
-def init_parameters(key, config, critics=("individual", "neighborhood"), mean_field=False):
-    """The policy network and a value network for each of `critics`, all fed the LCF."""
+def init_parameters(key, config, critics=("individual", "neighborhood"), mean_field=False, size=FEATURES):
+    """The policy network and a value network for each of `critics`, all fed `size` numbers of what is seen, and the LCF."""
     key_policy, *key_critics = jax.random.split(key, 1 + len(critics))
-    seen = FEATURES + 1
-    critic = seen + (FEATURES + ACTIONS if mean_field else 0)
+    seen = size + 1
+    critic = seen + (size + ACTIONS if mean_field else 0)
     return {
         "policy": {
             "layers": init_mlp(key_policy, (seen, *HIDDEN, ACTIONS), 0.01),
@@ -98,17 +124,20 @@ def value_loss(layers, x, target):
     return jnp.mean((mlp(layers, x)[..., 0] - target) ** 2)
 
 
-def coordinated_advantage(individual, neighborhood, lcf, coordination):
-    """Eq. 2, then standardised over all: c_I(lcf) A_I + c_N(lcf) A_N, any shape."""
+def coordinated_advantage(individual, neighborhood, lcf, coordination, standardize=True):
+    """Eq. 2, c_I(lcf) A_I + c_N(lcf) A_N, any shape; then, if it is to, standardised over all."""
     own, others = coordination(lcf)
     advantage = own * individual + others * neighborhood
+    if not standardize:
+        return advantage
     return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
 
 
 def make_optimizer(config, updates, networks):
     """Adam with each network's gradient clipped, and the learning rate annealed over `updates` minibatch steps."""
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates)
-    one = optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(schedule, eps=1e-5))
+    clip = optax.identity() if config.max_gradient_norm is None else optax.clip_by_global_norm(config.max_gradient_norm)
+    one = optax.chain(clip, optax.adam(schedule, eps=1e-5))
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 

@@ -31,7 +31,7 @@ from macid.learning.curves import (
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
-from macid.policy import Policy, features, inputs, mlp, to_velocity
+from macid.policy import INPUTS, Policy, inputs, mlp, to_velocity
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
@@ -40,12 +40,29 @@ _GOALS = 64  # in such a list
 _STARTS = 32  # crowds from which episodes begin
 
 
-# Named sets of hyperparameters: the paper's, and one that learns more in less time. At 50 decisions a second the paper's
+# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the paper's
 # lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it 1.3 s.
 PRESETS = {
-    "paper": learning.PpoConfig(),
-    "paper-ppo": learning.PpoConfig(batch=128, epochs=10),  # what the paper gives for its PPO
-    "fast": learning.PpoConfig(batch=4096, epochs=2, lam=0.985),
+    "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
+    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes, constant rate,
+    # eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
+    "paper": {
+        "ppo": learning.PpoConfig(
+            final_learning_rate=1e-3,
+            max_gradient_norm=None,
+            reward_scale=1.0,
+            standardize=False,
+            targets="episode",
+            arrival="end",
+        ),
+        "inputs": "observation",
+        "nworld": 1,
+        "rollout": 1000,
+        "episode": 1,
+        "agent_steps": 50_000_000,
+    },
+    # What the paper gives for its PPO, a batch of 128 and 10 epochs, and its lambda; the rest as `fast`.
+    "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
 
 
@@ -63,12 +80,17 @@ class TrainConfig:
     episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
     agent_steps: int = 20_000_000  # budget
     reward: RewardWeights = RewardWeights()
-    ppo: learning.PpoConfig = PRESETS["fast"]
+    ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
+    inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
 
     @property
     def name(self):
         """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
-        presets = [name for name, ppo in PRESETS.items() if ppo == self.ppo]
+        presets = [
+            name
+            for name, fields in PRESETS.items()
+            if (fields["ppo"], fields.get("inputs", "features")) == (self.ppo, self.inputs)
+        ]
         parts = [self.method]
         if "fast" not in presets:
             parts += presets or ["custom"]
@@ -82,6 +104,19 @@ class TrainConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         physics_steps(self.period)
+        if self.inputs not in INPUTS:
+            raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not '{self.inputs}'.")
+        if self.ppo.targets == "episode" and self.episode != 1:
+            raise ValueError(
+                f"Returns to the episode's end need rollouts of whole episodes: episode must be 1, not {self.episode}."
+            )
+
+
+def preset(name, **fields):
+    """The TrainConfig of the preset `name`, with `fields` changed. Raises ValueError, naming the valid ones."""
+    if name not in PRESETS:
+        raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
+    return TrainConfig(**{**PRESETS[name], **fields})
 
 
 class Walk(NamedTuple):
@@ -130,6 +165,7 @@ class Trainer:
 
     def __init__(self, config: TrainConfig, devices=None):
         self.config, self.method = config, get_method(config.method)
+        self._see, self._seen = INPUTS[config.inputs]
         layout = load_level(config.level)
         self.number = layout.pedestrians
         model = scene.crowd_spec(layout, self.number).compile()
@@ -159,7 +195,7 @@ class Trainer:
         seed = self.config.seed if seed is None else seed
         key, key_parameters, key_walk = jax.random.split(jax.random.key(seed), 3)
         parameters = learning.init_parameters(
-            key_parameters, self.config.ppo, self.method.critics, self.method.mean_field
+            key_parameters, self.config.ppo, self.method.critics, self.method.mean_field, self._seen
         )
         meta = copo.init() if self.method.meta else None
         walk = self._begin_jitted(key_walk, meta)
@@ -235,7 +271,7 @@ class Trainer:
         substeps = physics_steps(config.period)
 
         def act(crowd, goals, key):
-            seen = features(observe(crowd, self.engine.boxes, goals))
+            seen = self._see(observe(crowd, self.engine.boxes, goals))
             x = inputs(seen, walk.lcf)
             noise = jax.random.normal(key, (*x.shape[:-1], 2))
             action = mlp(policy["layers"], x) + jnp.exp(policy["log_std"]) * noise
@@ -294,7 +330,12 @@ class Trainer:
             if name == "global":  # CoPO's gamma is 1: on a stream without end, the value of what is above the mean
                 gamma, reward = 1.0, reward - jnp.mean(reward)
             redrawn = steps["arrived"] if name == "individual" else None
-            estimates[name] = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn)
+            if ppo.targets == "episode":  # nothing comes after it
+                last_value = jnp.zeros_like(last_value)
+            advantage, returns = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn, ppo.arrival)
+            if ppo.targets == "episode":
+                returns = learning.discounted_returns(reward, gamma, redrawn if ppo.arrival == "end" else None)
+            estimates[name] = advantage, returns
         return estimates
 
     def _iterate(self, state: TrainState):
@@ -305,7 +346,9 @@ class Trainer:
         estimates = self._estimates(state.parameters, steps, last)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         shared = estimates["neighborhood"][0] if "neighborhood" in estimates else 0.0
-        advantage = learning.coordinated_advantage(estimates["individual"][0], shared, lcf, self.method.coordination)
+        advantage = learning.coordinated_advantage(
+            estimates["individual"][0], shared, lcf, self.method.coordination, config.ppo.standardize
+        )
         data = {
             **{name: steps[name] for name in ("x", "critic", "action", "log_probability")},
             "advantage": advantage,
@@ -346,6 +389,10 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
     something to keep. Raises ValueError if it is another configuration's or another process trains there,
     FloatingPointError if the training diverges.
+
+    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over a
+    batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
+    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of two.
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
     paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
@@ -359,11 +406,12 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
     """`train`, of `configs` in the folders `paths`, which are locked."""
     config, seeds = configs[0], len(configs)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
+    saved = read_checkpoint(folders[0], _Noted)
     several = config.engine == "mjx" and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
-    if saved := _read(folders[0], configs, states):
-        states, curves, spent = saved
+    if saved:
+        states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
 
     def save():
@@ -435,14 +483,10 @@ class _Noted(msgspec.Struct):
     seconds: float
 
 
-def _read(folder, configs, like):
-    """(states, curves, seconds) of the checkpoint in `folder` of a training of `configs`; None where there is none.
-
-    like: states of that training. Raises UsageError.
-    """
-    if not (saved := read_checkpoint(folder, _Noted)):
-        return None
-    (found, noted), path, wanted = saved, folder / CHECKPOINT, _named(like)
+def _restored(found, noted, path, configs, like):
+    """(states, curves, seconds) of the arrays `found` and what was `noted` in the checkpoint `path` of a training of
+    `configs`. like: states of that training. Raises UsageError."""
+    wanted = _named(like)
     if noted["configs"] != [plain(each) for each in configs]:
         raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
     try:

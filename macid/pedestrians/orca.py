@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from macid.geometry import box_corners, norm, rotate
-from macid.pedestrians.facing import face_velocity
+from macid.pedestrians.facing import STANDING, face_velocity
 from macid.pedestrians.social_force import TINY, away_from_boxes, left_of, unit
 from macid.state import MAX_SPEED, RADIUS
 
@@ -148,9 +148,16 @@ class ORCA:
     from the state alone.
 
     The preferred velocity leads to the goal at `preferred_speed`, no further than the goal within a period, and is
-    turned by `veer` to the right, for everybody alike: without it, exact symmetry (head-on, an antipodal circle) ends
-    in deadlock. The obstacle horizon is short, as walls don't turn towards anybody and a body stops within
+    turned by `veer` to the right, for everybody alike: without it, two who meet exactly head-on stand. The obstacle
+    horizon is short, as walls don't turn towards anybody and a body stops within
     centimetres; it makes the approach speed to a wall (gap / horizon), and goals may lie close to walls.
+
+    Three or more who meet from all sides lock all the same: each permits the others only to stand. So whom other people
+    let get on towards its goal at less than `blocked` of its preferred speed, though boxes would let it, asks for a
+    velocity turned to the right by the first of `detours` instead, and who would hardly move by that either, by the next.
+    People who lock walk around each other, as on a roundabout, until their goals lie ahead; nobody else's step changes,
+    and who faces a wall stands, as before. (RVO2's examples turn everybody's preferred velocity by a tiny random angle,
+    which doesn't undo a lock.)
     """
 
     period: float = 0.02  #: between two decisions [s]
@@ -164,6 +171,8 @@ class ORCA:
     max_obstacles: int = 8  #: the nearest ones count
     obstacle_horizon: float = 1.0  #: [s]
     veer: float = 0.01  #: [rad]
+    blocked: float = 0.2  #: share of the preferred speed
+    detours: tuple[float, ...] = (1.3, 2.2)  #: [rad]
 
     def __call__(self, state, boxes, goals, lcf=None):
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3). `lcf` has no meaning here and is ignored.
@@ -177,8 +186,30 @@ class ORCA:
         hard, lines = box_offset.shape[-1], box_offset.shape[-1] + offset.shape[-1]
         normal = jnp.concatenate([box_normal, normal], axis=-2).reshape(preferred.size // 2, lines, 2)
         offset = jnp.concatenate([box_offset, offset], axis=-1).reshape(preferred.size // 2, lines)
-        chosen = best_velocity(normal, offset, hard, preferred.reshape(-1, 2), self.max_speed)
-        return face_velocity(chosen.reshape(preferred.shape), jnp.asarray(state.yaw, jnp.float32), self.period)
+        chosen = self.chosen_velocity(normal, offset, hard, preferred.reshape(-1, 2)).reshape(preferred.shape)
+        return face_velocity(chosen, jnp.asarray(state.yaw, jnp.float32), self.period)
+
+    def chosen_velocity(self, normal, offset, hard, preferred):
+        """The velocity (Q, 2) [m/s] of people who prefer `preferred` (Q, 2): `best_velocity`, or a way around.
+
+        normal (Q, N, 2), offset (Q, N), of which the first `hard` come from obstacles.
+        """
+        chosen = best_velocity(normal, offset, hard, preferred, self.max_speed)
+        speed = norm(preferred)
+        among_boxes, _ = closest_permitted(normal[:, :hard], offset[:, :hard], preferred, self.max_speed)
+        slowed, walled = (_dot(v, unit(preferred)) < self.blocked * speed for v in (chosen, among_boxes))
+        blocked = slowed & ~walled & (speed > STANDING)
+        for angle in self.detours:
+            asked = rotate(preferred, jnp.full_like(speed, -angle))
+            limits = jnp.where(blocked[:, None], offset, NO_LIMIT)  # so the others cost nothing
+            around = jax.lax.cond(
+                jnp.any(blocked),
+                lambda limits=limits, asked=asked: best_velocity(normal, limits, hard, asked, self.max_speed),
+                lambda: chosen,
+            )
+            chosen = jnp.where(blocked[:, None], around, chosen)
+            blocked &= norm(chosen) < self.blocked * speed
+        return chosen
 
     def preferred_velocity(self, position, goals):
         """(..., K, 2) [m/s], world frame."""

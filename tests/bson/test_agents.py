@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bson.agents import BUILT_IN, AgentError, act, load_agent, reset_agent
+from bson.sensors import Lidar2D
 from macid.geometry import to_body
 
 OBSERVATION = {
@@ -58,6 +59,15 @@ def test_the_goal_agent_turns_towards_the_goal():
     assert goal({**OBSERVATION, "goal": np.array([0.0, 5.0])})[1] > 0.5
     assert goal({**OBSERVATION, "goal": np.array([0.0, -5.0])})[1] < -0.5
     assert goal(OBSERVATION)[0] > 0.5
+
+
+def test_stop_and_go_stands_while_anything_is_near_ahead():
+    agent, angles = load_agent("stop-and-go")(), Lidar2D().angles
+    for angle, distance, stands in ((0, 1.5, True), (-29, 1.5, True), (29, 1.5, True), (0, 1.7, False), (40, 0.5, False)):
+        lidar = np.full(720, 30.0, np.float32)
+        lidar[np.abs(angles - np.radians(angle)).argmin()] = distance
+        assert (agent({**OBSERVATION, "lidar": lidar}) == 0).all() == stands
+    assert agent(OBSERVATION)[0] == 1.0  # 2 m/s
 
 
 def test_the_random_agent_follows_its_seed():

@@ -18,7 +18,7 @@ from bson.features import FEATURES, Features
 from bson.learning import train as train_module
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, select
-from bson.learning.train import TrainConfig, one_thread, train
+from bson.learning.train import PRESETS, TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
 from macid.files import UsageError, lock_folder
@@ -338,6 +338,33 @@ def test_bc_learns_from_an_expert_file(tmp_path):
 def test_a_wrong_setting_is_told(arguments, told):
     with pytest.raises(ValueError, match=told):
         TrainConfig(**arguments)
+
+
+def test_the_papers_preset_is_the_papers():
+    """Secs. IV-C and VI-D: PPO as the pedestrians' but for a batch of 128 and 10 epochs; the others on (1024, 1024), q 1.2."""
+    ppo, sac, tac, bc = (PRESETS["paper"][algo] for algo in ("ppo", "sac", "tac", "bc"))
+    assert (ppo.hidden, ppo.gamma, ppo.lam, ppo.clip) == ((64, 64, 64), 0.999, 0.95, 0.2)
+    assert (ppo.batch, ppo.epochs) == (128, 10)
+    assert sac.hidden == tac.hidden == bc.hidden == (1024, 1024)
+    assert (sac.q, tac.q) == (1.0, 1.2) and dataclasses.replace(tac, q=1.0) == sac
+    assert {each.learning_rate for each in (ppo, sac, tac, bc)} == {1e-3}
+    assert ppo.final_learning_rate == bc.final_learning_rate == 1e-3
+    names = [TrainConfig(algo, hyperparameters=PRESETS["paper"][algo]).name for algo in PRESETS["paper"]]
+    assert names == ["ppo-paper", "sac-paper", "tac-paper", "bc-paper"] and TrainConfig("sac").name == "sac"
+    assert TrainConfig("ppo", task={"pedestrian_model": "orca"}, hyperparameters=ppo).name == "ppo-paper-orca"
+
+
+def test_the_joint_tsallis_entropy_is_of_the_whole_actions_density():
+    env, x = FeatureVecEnv(2, seed=0, **TASK), torch.zeros(5, FEATURES)
+    found = []
+    for q, joint in ((1.0, False), (1.2, True), (1.2, False)):
+        actor = dataclasses.replace(SMALL_SAC, q=q, joint=joint).build(env, seed=3).actor
+        torch.manual_seed(0)
+        found.append(actor.action_log_prob(x))
+    (action, log_density), (same, joint), (_, summed) = found
+    assert torch.equal(action, same)
+    assert joint.detach().numpy() == pytest.approx((np.exp(0.2 * log_density.detach().numpy()) - 1) / 0.2, rel=1e-4)
+    assert not torch.allclose(joint, summed)
 
 
 def test_training_leaves_torchs_threads_as_they_were():

@@ -7,7 +7,13 @@ from bson.suites import load_suite, suite_names
 from bson.task import TaskConfig, spawn
 from macid import assets
 
-DIGESTS = {"paper": "d29ce0019b09", "scenarios": "7f1177ebb47f", "smoke": "d93d60ae24f8", "standard": "86bb56a5ca8e"}
+DIGESTS = {
+    "paper": "d29ce0019b09",
+    "paper-slow": "0440c9d01af9",
+    "scenarios": "7f1177ebb47f",
+    "smoke": "d93d60ae24f8",
+    "standard": "86bb56a5ca8e",
+}
 
 
 def test_the_shipped_suites_are_frozen():
@@ -29,6 +35,13 @@ def test_suites_are_as_the_paper_says_and_apart():
         load_suite("papers")
     with pytest.raises(ValueError, match="1 to 100"):
         paper.drawn(101)
+
+
+def test_paper_slow_is_paper_with_a_slower_robot():
+    paper, slow = load_suite("paper"), load_suite("paper-slow")
+    (usual,), (cell,) = paper.cells, slow.cells
+    assert slow.seeds == paper.seeds and cell.config.replace(robot="jackal") == usual.config
+    assert (cell.config.robot.max_speed, cell.config.robot.max_yaw_rate) == (1.2, 1.0)
 
 
 def test_standard_has_every_combination_of_three_criteria():

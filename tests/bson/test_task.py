@@ -93,6 +93,33 @@ def test_a_map_without_room_is_told():
         spawn(TaskConfig(num_pedestrians=1, map_size=12.0, goal_distance=(30, 40)), np.random.default_rng(0))
 
 
+SHELVES = "walls = [" + ", ".join(f"[-6, {y}, 6, {y}]" for y in np.arange(-5.4, 6, 1.2).round(1).tolist()) + "]"
+
+
+@pytest.mark.parametrize(
+    ("text", "people", "told"),
+    [
+        (SHELVES, 0, "^The robot finds no room in map .*0.85 m .* is asked for, and the most there is is 0.45 m"),
+        ("[regions]\nrobot_start = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "^The robot .* region robot_start .* most there is is 0.50 m"),
+        ("[regions]\nrobot_goal = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "region robot_goal .* by the robot: 0.85 m .* is 0.50 m"),
+        ("[regions]\npeople_start = [[-5.9, 0, 0.1, 2, 0]]", 5, "^Only 0 of 5 people .* people_start .* 0.55 m .* is 0.20 m"),
+        ("[regions]\npeople_start = [[-4, 0, 0.2, 0.2, 0]]", 5, "^Only 1 of 5 people found room in region people_start"),
+        ("routes = [[[-4, 0], [4, 0]]]", 100, r"^Only \d+ of 100 people .* routes\[0\] .*Lower the pedestrian"),
+    ],
+)
+def test_who_finds_no_room_is_told_with_what_was_asked_for_and_what_there_is(tmp_path, text, people, told):
+    (tmp_path / "map.toml").write_text(f"size = 12.0\n{text}\n")
+    config = TaskConfig(map=str(tmp_path / "map.toml"), num_pedestrians=people, goal_distance=(3.0, 10.0))
+    with pytest.raises(NoFreeSpace, match=told):
+        spawn(config, np.random.default_rng(0))
+
+
+def test_a_map_that_is_too_small_is_named(tmp_path):
+    (tmp_path / "map.toml").write_text("size = 5.0\n")
+    with pytest.raises(ValueError, match="Map '.*map.toml' is 5 m wide.*10 to 500 m"):
+        TaskConfig(map=str(tmp_path / "map.toml"))
+
+
 def test_a_map_from_a_file_brings_its_size_people_and_regions():
     config = TaskConfig(map="hall")
     assert (config.map_size, config.people) == (24.0, 12)

@@ -47,7 +47,7 @@ def arrival_time(position, goals, period, within=0.3):
     return np.where(close.any(axis=0), (close.argmax(axis=0) + 1) * period, np.inf)
 
 
-def ring(people, radius):
-    """`people` places (K, 2) evenly on a circle around the origin [m]."""
-    angle = np.linspace(0, 2 * np.pi, people, endpoint=False)
+def ring(people, radius, heading=0.0):
+    """`people` places (K, 2) evenly on a circle around the origin [m], the first in the direction `heading` [rad]."""
+    angle = heading + np.linspace(0, 2 * np.pi, people, endpoint=False)
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

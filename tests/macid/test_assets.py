@@ -1,11 +1,13 @@
 import pytest
 
 from macid import assets
+from macid.layout import OTHER_LEVELS, VALIDATION_LEVELS
 
 
 def test_the_root_holds_the_levels():
     assert assets.root().is_dir()
-    assert assets.names("layouts", ".toml") == ["lv1", "lv2", "lv3", "lv4", "v1", "v2", "v3", "v4"]
+    levels = ["lv1", "lv2", "lv3", "lv4", *VALIDATION_LEVELS, *OTHER_LEVELS]
+    assert assets.names("layouts", ".toml") == sorted(levels)
     assert assets.path("layouts", "lv2.toml").is_file()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from macid import cli, metrics
 from macid.crowd import Crowd, CrowdConfig
-from macid.evaluate import evaluate_level, format_table
+from macid.evaluate import evaluate_level, format_table, measure_knob
 from macid.layout import load_level
 from macid.pedestrians import MODELS, make_controller
 from macid.scene import PersonConfig
@@ -96,3 +96,24 @@ def test_an_episode_in_which_physics_failed_is_not_scored(monkeypatch, engine, t
         command = ["evaluate", "--pedestrian", "mad", "--levels", "1", "--episodes", "1", "--period", "0.1"]
         assert cli.main([*command, "--out", str(out)]) == 2 and not out.exists()
         assert "nothing to score" in capsys.readouterr().err
+
+
+def test_a_knob_is_of_the_rows_that_each_section_gives_alone():
+    config = CrowdConfig(number=7, duration=3.0, period=0.1)
+    found = measure_knob("macid-0", "crossroads", episodes=1, mixed=2, seed=4, config=config)
+    assert len(found["sections"]) == 6 and (found["sections"][0][0], found["sections"][-1][1]) == (-2.0, 2.0)
+    for index in (0, 5):
+        one = dataclasses.replace(config, lcf=found["sections"][index])
+        row = evaluate_level("macid-0", "crossroads", episodes=1, seed=4, config=one)
+        assert (found["CP"][index], found["SR10"][index]) == (row["CP"], row["SR10"])
+    assert sum(found["own_people"]) == 2 * 30  # everybody of the mixed crowds is in one section
+    mixed = evaluate_level("macid-0", "crossroads", episodes=2, seed=4, config=dataclasses.replace(config, lcf=(-2, 2)))
+    own = np.array([0.0 if cp is None else cp for cp in found["own_CP"]])
+    assert own @ found["own_people"] / 60 == pytest.approx(mixed["CP"])
+    assert found["CP_rank"] == pytest.approx(metrics.rank_correlation(found["CP"]))
+    json.dumps(found, allow_nan=False)
+
+
+def test_who_knows_no_lcf_has_no_knob():
+    with pytest.raises(ValueError, match="not trained with LCFs"):
+        measure_knob("ipo", 1)

@@ -31,6 +31,15 @@ def test_levels(level, people):
     assert is_connected(layout)
 
 
+@pytest.mark.parametrize("level", layouts.OTHER_LEVELS)
+def test_levels_of_other_kinds_are_connected_and_have_room(level):
+    layout = load_level(level)
+    assert layout.name == level.replace("-", " ") and is_connected(layout)
+    assert abs(box_corners(layout.obstacles)).max() <= layout.size / 2 + 1e-9
+    starts = sample_people(np.random.default_rng(0), layout, layout.pedestrians)
+    assert sample_goals(np.random.default_rng(0), layout, starts).shape == starts.shape
+
+
 def test_a_closed_room_is_not_connected():
     room = [[3, 0, 0.1, 3.1, 0], [-3, 0, 0.1, 3.1, 0], [0, 3, 3.1, 0.1, 0], [0, -3, 3.1, 0.1, 0]]
     assert is_connected(OPEN) and not is_connected(Layout(20.0, room))

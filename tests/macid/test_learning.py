@@ -1,7 +1,9 @@
 import csv
 import dataclasses
+import importlib.util
 import json
 import os
+import pickle
 import subprocess
 import sys
 
@@ -10,10 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from macid.files import UsageError
 from macid.layout import clearance, load_level
-from macid.learning import methods, ppo
-from macid.learning.train import PRESETS, TrainConfig, Trainer, train
-from macid.policy import FEATURES, load_policy
+from macid.learning import curves, methods, ppo
+from macid.learning import train as train_module
+from macid.learning.curves import completed, plain
+from macid.learning.train import PRESETS, TrainConfig, Trainer, preset, train
+from macid.observation import SIZE
+from macid.policy import FEATURES, load_policy, mlp, to_velocity
 from macid.state import RADIUS
 
 TINY = TrainConfig(
@@ -64,6 +70,7 @@ def test_coordinated_advantage_is_eq_2_standardised():
         (methods.linear, own + lcf * others),
         (methods.trigonometric, jnp.cos(lcf) * own + jnp.sin(lcf) * others),
     ):
+        np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination, False), expected, atol=1e-6)
         expected = (expected - expected.mean()) / expected.std()
         np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination), expected, atol=1e-5)
 
@@ -267,10 +274,72 @@ def test_new_goals_are_free_and_at_a_fitting_distance():
 
 
 def test_the_papers_preset_is_the_papers():
-    paper = PRESETS["paper"]
-    assert (paper.learning_rate, paper.clip, paper.gamma, paper.lam) == (1e-3, 0.2, 0.999, 0.95)
-    assert (paper.batch, paper.epochs) == (2048, 5)
-    assert (PRESETS["paper-ppo"].batch, PRESETS["paper-ppo"].epochs) == (128, 10)
+    """Secs. III-C and IV-C: constant rate, T = 1000 and an update after each of M = 1000 episodes, Lv.2; nothing is scaled,
+    clipped (but for eq. 3's ratio) or standardised."""
+    paper = preset("paper")
+    given = paper.ppo
+    assert (given.learning_rate, given.final_learning_rate, given.clip, given.gamma, given.lam) == (
+        1e-3, 1e-3, 0.2, 0.999, 0.95,
+    )  # fmt: skip
+    assert (given.batch, given.epochs, given.targets) == (2048, 5, "episode")
+    assert (given.max_gradient_norm, given.reward_scale, given.standardize, given.arrival) == (None, 1.0, False, "end")
+    assert (paper.level, paper.nworld, paper.rollout, paper.episode, paper.inputs) == (2, 1, 1000, 1, "observation")
+    assert paper.agent_steps == 1000 * 1000 * load_level(2).pedestrians
+    assert (paper.reward.distance, paper.reward.goal, paper.reward.collision) == (10.0, 1.0, 0.6)
+    assert preset("paper", method="ipo").name == "ipo-paper" and preset("fast").name == "macid"
+    assert (preset("paper-ppo").ppo.batch, preset("paper-ppo").ppo.epochs) == (128, 10)
+    with pytest.raises(ValueError, match="fast, paper, paper-ppo"):
+        preset("papers")
+
+
+def test_eq_4s_targets_by_hand():
+    reward = jnp.array([[1.0, 0.0], [2.0, 0.0], [4.0, 8.0]])
+    expected = [[1 + 0.5 * (2 + 0.5 * 4), 2.0], [2 + 0.5 * 4, 4.0], [4.0, 8.0]]
+    np.testing.assert_allclose(ppo.discounted_returns(reward, 0.5), expected, rtol=1e-6)
+
+
+def test_the_papers_estimates_are_of_one_episode_that_ends():
+    """Values learn the whole return, to the goal or to T, the neighbourhood's to T; nothing follows in GAE either."""
+    small = preset("paper", level=1, rollout=10, agent_steps=250)
+    trainer = Trainer(small)
+    state = trainer.init()
+    _, steps, last = trainer._rollout(state.parameters, state.walk, state.key)
+    steps["arrived"] = jnp.zeros_like(steps["arrived"]).at[4, 0, 3].set(True)
+    ended = np.asarray(steps["arrived"])
+    for name in ("individual", "neighborhood"):
+        advantage, returns = trainer._estimates(state.parameters, steps, last)[name]
+        expected = np.zeros_like(steps[name][0])
+        for now in reversed(range(10)):
+            following = np.where(ended[now], 0.0, expected) if name == "individual" else expected
+            expected = np.asarray(steps[name][now]) + 0.999 * following
+            np.testing.assert_allclose(returns[now], expected, rtol=1e-4, atol=1e-4)
+        left = steps[name] - mlp(state.parameters[name], steps["critic"])[..., 0]
+        np.testing.assert_allclose(advantage[-1], left[-1], rtol=1e-4, atol=1e-4)
+        at_the_goal = np.allclose(advantage[4, 0, 3], left[4, 0, 3], rtol=1e-4, atol=1e-4)
+        assert at_the_goal == (name == "individual")
+    with pytest.raises(ValueError, match="whole episodes"):
+        preset("paper", episode=2)
+
+
+def test_a_network_may_see_the_41_numbers_as_they_are(tmp_path):
+    small = preset("paper", method="macid", level=1, rollout=20, agent_steps=500)
+    (trained,) = train(small, tmp_path, show=lambda line: None)
+    loaded = load_policy(str(tmp_path / "macid-paper-0" / "policy.npz"))
+    weight, bias = loaded.layers[0]
+    assert weight.shape[0] == SIZE + 1 and loaded.recipe["inputs"] == "observation"
+    seen = np.random.default_rng(0).normal(size=(5, SIZE)).astype(np.float32)
+    seen[:, 5::3] = np.abs(seen[:, 5::3])
+    hidden = np.tanh(np.concatenate([seen, np.full((5, 1), 0.5, np.float32)], axis=-1) @ weight + bias)
+    np.testing.assert_allclose(loaded(seen, 1.0), to_velocity(mlp(loaded.layers[1:], hidden)), atol=1e-6)
+    np.testing.assert_array_equal(loaded(seen, 1.0), trained(seen, 1.0))
+    if importlib.util.find_spec("torch"):
+        assert loaded.to_torch()(seen, 1.0).detach().numpy() == pytest.approx(loaded(seen, 1.0), abs=1e-5)
+
+
+def test_a_recipe_of_before_a_field_came_has_its_default():
+    old = plain(TINY)
+    del old["inputs"], old["ppo"]["targets"]
+    assert completed(old, preset("paper")) == plain(TINY)
 
 
 @pytest.mark.parametrize(
@@ -326,7 +395,7 @@ def test_two_devices_train_what_one_does():
 
 @pytest.mark.slow
 def test_both_engines_train_to_the_same_curve():
-    config = TrainConfig(level=1, nworld=4, agent_steps=400_000, ppo=PRESETS["fast"])
+    config = TrainConfig(level=1, nworld=4, agent_steps=400_000, ppo=PRESETS["fast"]["ppo"])
     curves = {}
     for engine in ("native", "mjx"):
         trainer = Trainer(dataclasses.replace(config, engine=engine))
@@ -339,3 +408,71 @@ def test_both_engines_train_to_the_same_curve():
     assert native[-4:].mean() > native[:4].mean()  # it learns
     noise = np.maximum(native.std(axis=1), 0.02)
     assert (np.abs(native.mean(axis=1) - mjx.mean(axis=1)) < 4 * noise).all()
+
+
+class Bomb:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def test_a_damaged_training_is_told_and_no_pickle_is_read(tmp_path):
+    quiet = {"show": lambda line: None, "resume": True}
+    folder = tmp_path / f"{TINY.name}-0"
+    trainer = Trainer(dataclasses.replace(TINY, method="copo"))
+    states, begin = trainer.init_seeds([1]), trainer.init_seeds([0])
+    states = states._replace(iteration=states.iteration + 1)
+    curve = [{"agent_steps": 500, "reward": 0.1}]
+    config = dataclasses.replace(TINY, method="copo")
+    noted = {"configs": [curves.plain(config)], "curves": [curve], "seconds": 1.5}
+    named = train_module._named(states)
+    curves.write_checkpoint(tmp_path, named, noted)
+
+    def restored():
+        saved = curves.read_checkpoint(tmp_path, train_module._Noted)
+        return train_module._restored(*saved, tmp_path / curves.CHECKPOINT, [config], begin)
+
+    read, curve_read, seconds = restored()
+    assert same(*(jax.tree.map(train_module._keep, each) for each in (states, read))) and (curve_read, seconds) == ([curve], 1.5)
+    assert jax.tree.structure(read) == jax.tree.structure(states)
+    some = next(name for name in named if "policy" in name)
+    for arrays_now, noted_now, told in (
+        ({**named, some: named[some][..., :-1]}, noted, "has float32"),
+        ({name: each for name, each in named.items() if name != some}, noted, "is missing"),
+        (named, {**noted, "curves": [curve * 2]}, "not as long as the training"),
+        (named, {**noted, "curves": [[{"reward": "high"}]]}, "curves"),
+        (named, {**noted, "seconds": None}, "seconds"),
+    ):
+        curves.write_checkpoint(tmp_path, arrays_now, noted_now)
+        with pytest.raises(UsageError, match=f"checkpoint.npz' is damaged .*{told}.*: delete it to begin anew"):
+            restored()
+    folder.mkdir()
+    bomb = pickle.dumps(Bomb(tmp_path / "ran"))
+    for name, content, told in (
+        ("checkpoint.npz", bomb, "checkpoint.npz' is damaged .*: delete it"),
+        ("checkpoint.npz", b"", "checkpoint.npz' is damaged .*: delete it"),
+        ("checkpoint.pkl", bomb, "checkpoint.pkl' is of an earlier version .* Delete it"),
+        ("config.json", b"", "config.json.*delete the folder, or use another --out"),
+    ):
+        for file in folder.iterdir():
+            file.unlink()
+        (folder / "checkpoint.npz").write_bytes(content)
+        (folder / "checkpoint.npz").rename(folder / name)
+        if name == "config.json":
+            (folder / "policy.json").write_bytes(b"{}")
+        with pytest.raises(UsageError, match=told) as caught:
+            train(TINY, tmp_path, **quiet)
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.slow
+def test_a_training_that_diverges_is_told(tmp_path):
+    config = dataclasses.replace(TINY, ppo=dataclasses.replace(TINY.ppo, learning_rate=1e38))
+    with pytest.raises(FloatingPointError, match="diverged at iteration [12]: the .* is (nan|inf)"):
+        train(config, tmp_path, show=lambda line: None)
+    assert not list(tmp_path.glob("*/policy.npz"))

@@ -4,7 +4,7 @@ import pytest
 from scipy import ndimage
 
 from macid.geometry import point_box_distance
-from macid.layout import NoFreeSpace, load_layout, sample_goals, sample_people
+from macid.layout import Layout, NoFreeSpace, load_layout, most_clearance, sample_goals, sample_people
 from macid.maps import load_map, map_names, rectangles
 from macid.routing import Router, occupancy_grid, rest_of_route
 
@@ -122,3 +122,55 @@ def test_the_rest_of_a_route():
     np.testing.assert_array_equal(rest_of_route(route, np.array([1.0, 0.5]), route[-1]), route[1:])
     np.testing.assert_array_equal(rest_of_route(route, np.array([4.5, 2.0]), route[-1]), route[2:])
     np.testing.assert_array_equal(rest_of_route(route, np.array([4.5, 2.0]), route[0]), route[1::-1])
+
+
+BOX, WALL = "obstacles = [[0, 0, 1, 1, 0]]", "walls = [[0, -6, 0, 6]]"
+CLOSET = "obstacles = [[3, 3, 1.2, 0.1, 0], [3, 5, 1.2, 0.1, 0], [2, 4, 0.1, 1.2, 0], [4, 4, 0.1, 1.2, 0]]"
+DOOR = "walls = [[0, -6, 0, -{0}], [0, {0}, 0, 6]]"  # 0.3 m less on each side
+
+
+@pytest.mark.parametrize(
+    ("solid", "route", "told"),
+    [
+        (BOX, [[-4, 0], [0, 0.5], [4, 0]], r"routes\[0\]\[1\], \[0.0, 0.5\], is 0.00 m from a box or wall"),
+        (BOX, [[0, 0], [4, 0]], r"routes\[0\]\[0\]"),
+        (BOX, [[4, 0], [1.2, 0]], r"routes\[0\]\[1\].* is 0.20 m from .* needs 0.35 m"),
+        (WALL, [[-4, 0], [0.1, 0]], r"is 0.00 m"),
+        ("", [[-4, 0], [5.8, 0]], r"\[5.8, 0.0\], is 0.20 m"),
+        (WALL, [[-4, 0], [4, 0]], r"routes\[0\] has no way for a person.* from \[-4.0, 0.0\] to \[4.0, 0.0\]"),
+        (WALL + "\nrouted = false", [[-4, 0], [4, 0]], "no way for a person"),
+        (DOOR.format(0.4), [[-4, 0], [4, 0]], "no way for a person"),
+        (CLOSET, [[-4, 0], [3, 4]], r"no way .* to \[3.0, 4.0\]"),
+        (CLOSET, [[3, 4], [-4, 0], [-4, 4]], r"no way .* from \[3.0, 4.0\]"),
+    ],
+)
+def test_a_route_that_nobody_can_walk_is_refused_at_load(tmp_path, solid, route, told):
+    (tmp_path / "map.toml").write_text(f"size = 12.0\n{solid}\nroutes = [{route}]\n")
+    with pytest.raises(ValueError, match=f"map.toml.*{told}"):
+        load_map(str(tmp_path / "map.toml"))
+
+
+@pytest.mark.parametrize(
+    ("solid", "route"),
+    [
+        (BOX, [[-4, 0], [4, 0]]),  # people find their way around
+        (BOX, [[1.35, 0], [5.65, 5.65]]),
+        (DOOR.format(0.8), [[-4, 0], [4, 0]]),
+        (CLOSET, [[2.9, 4], [3.1, 4]]),
+    ],
+)
+def test_a_route_that_a_person_can_walk_is_taken(tmp_path, solid, route):
+    (tmp_path / "map.toml").write_text(f"size = 12.0\n{solid}\nroutes = [{route}]\n")
+    assert len(load_map(str(tmp_path / "map.toml")).routes) == 1
+
+
+@pytest.mark.parametrize("half", [0.02, 0.4, 1.7])
+def test_the_most_clearance_is_that_of_the_best_place(half):
+    layout = Layout(12.0, [[0.0, 0.0, 2.0, 2.0, 0.3]])
+    region = np.array([[4.0, 0.0, half, half, 0.0]])
+    grid = np.linspace(-half, half, 200)
+    places = region[0, :2] + np.stack(np.meshgrid(grid, grid), axis=-1)
+    best = point_box_distance(places, layout.boxes).min(axis=-1).max()
+    assert most_clearance(layout, region) == pytest.approx(best, abs=0.01)
+    assert most_clearance(Layout(10.0, [])) == pytest.approx(5.0, abs=0.01)
+    assert most_clearance(Layout(10.0, [[0.0, 0.0, 6.0, 6.0, 0.0]])) == 0

@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from kinematics import DOORWAY, OPEN, arrival_time, least_distance, ring, walk
+from kinematics import DOORWAY, OPEN, arrival_time, crowd, least_distance, ring, walk
 
 from macid.geometry import box_corners, point_box_distance
 from macid.pedestrians.orca import NO_LIMIT, ORCA, best_velocity, closest_permitted, least_violation
+from macid.state import parking_place
 
 MODEL = ORCA()
 TOP_SPEED = 1.5
@@ -104,11 +105,59 @@ def test_two_who_overlap_part_within_a_period():
     np.testing.assert_allclose(offset[:, 0], 0.5 * 0.04 / 0.02, rtol=1e-4)
 
 
-def test_antipodal_circle_of_twenty_resolves():
-    start = ring(20, 10.0)
-    states = walk(MODEL, start, OPEN, -start, 40)
-    assert least_distance(states.position) > 0.70
-    assert arrival_time(states.position, -start, MODEL.period).max() < 40
+def rings(cases):
+    """Starts and goals (C, K, 2) of antipodal rings, (people, radius [m], heading [rad]) each; the rest are parked."""
+    most = max(people for people, _, _ in cases)
+    start = np.tile(parking_place(np.arange(most)).astype(float), (len(cases), 1, 1))
+    goals = start.copy()
+    for index, (people, radius, heading) in enumerate(cases):
+        start[index, :people] = ring(people, radius, heading)
+        goals[index, :people] = -start[index, :people]
+    return start, goals
+
+
+def all_arrive(cases, period, seconds):
+    """Asserts that everybody of the rings arrives in time and, at the usual period, nobody touches anybody."""
+    start, goals = rings(cases)
+    states = walk(replace(MODEL, period=period), start, OPEN, goals, seconds)
+    for index, case in enumerate(cases):
+        walked = states.position[:, index, : case[0]]
+        assert least_distance(walked) > (0.70 if period == MODEL.period else 0.5), case
+        assert np.isfinite(arrival_time(walked, goals[index, : case[0]], period)).all(), case
+
+
+def test_antipodal_rings_resolve():
+    all_arrive([(3, 3.0, 0.0), (5, 3.0, 0.4), (12, 8.0, 0.0), (16, 8.0, 1.0), (20, 8.0, 0.0), (20, 10.0, 0.0)], 0.02, 45)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [3.0, 5.0, 8.0, 11.0, 15.0])
+@pytest.mark.parametrize("period", [0.02, 0.1])
+def test_antipodal_rings_of_every_size_resolve(period, radius):
+    sizes = [people for people in range(2, 41) if 2 * radius * np.sin(np.pi / people) > 0.76]
+    all_arrive([(people, radius, heading) for people in sizes for heading in (0.0, 0.7)], period, 120)
+
+
+def test_only_who_is_blocked_asks_for_another_way():
+    rng = np.random.default_rng(5)
+    state = crowd(rng.uniform(-6, 6, (6, 40, 2)), rng.uniform(-1, 1, (6, 40, 2)))
+    goals = jnp.asarray(rng.uniform(-9, 9, (6, 40, 2)), jnp.float32)
+    boxes = jnp.asarray([[0.0, 0.0, 1.0, 0.5, 0.3], [4.0, 2.0, 0.5, 2.0, 0.0]], jnp.float32)
+    plain = jax.jit(replace(MODEL, detours=()))(state, boxes, goals)[..., :2]
+    ours = jax.jit(MODEL)(state, boxes, goals)[..., :2]
+    preferred = MODEL.preferred_velocity(state.position, goals)
+    speed = np.linalg.norm(preferred, axis=-1)
+    progress = (plain * preferred).sum(axis=-1) / speed
+    blocked = progress < MODEL.blocked * speed
+    assert 20 < blocked.sum() < 200
+    np.testing.assert_array_equal(np.asarray(ours)[~blocked], np.asarray(plain)[~blocked])
+    assert (np.linalg.norm(ours - plain, axis=-1)[blocked] > 0.01).mean() > 0.2  # many overlap, and only part
+
+
+def test_who_faces_a_wall_and_nobody_else_stands():
+    wall = np.array([[0.0, 0.0, 0.2, 3.0, 0.0]])
+    states = walk(MODEL, np.array([[-2.0, 0.0]]), wall, np.array([[2.0, 0.0]]), 4)
+    assert np.linalg.norm(states.velocity[-1, 0]) < 0.05
 
 
 def test_walking_along_a_wall_is_not_slowed():

@@ -32,7 +32,16 @@ def made_up(tmp_path, monkeypatch):
         figures = dict.fromkeys((*tables.COLUMNS, *tables.WALKING), 1.0)
         return {**figures, "SR10": 10.0 * level + 2 * seed, "CP": -config.lcf[0], "SR": [float(level)] * TOLERATED}
 
+    def knob(pedestrian, level, episodes, mixed, config):
+        seed, falling = 1 if "macid-1" in pedestrian else 0, [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
+        if level == "foyer" and seed == 1:
+            falling = falling[::-1]
+        own = None if level == "crowded" else 3.0
+        figures = {"CP": falling, "SR10": [7.0] * 6, "own_CP": [*falling[:5], own]}
+        return {"pedestrian": pedestrian, "episodes": episodes, "mixed": mixed, **figures}
+
     monkeypatch.setattr(tables, "evaluate_level", row)
+    monkeypatch.setattr(tables, "measure_knob", knob)
     for name in ("macid-0", "macid-1"):
         for suffix in (".npz", ".json"):
             shutil.copy(assets.path("policies", name + suffix), tmp_path)
@@ -55,13 +64,31 @@ def test_tables_have_means_deviations_and_the_papers_figures_and_rows_are_kept(m
     assert lines[2].startswith("| social-force | 10.0")  # a rule has no seeds
     by_lcf = (folder / "out" / "table1.md").read_text().splitlines()
     assert len([line for line in by_lcf if line.startswith("| (")]) == 6
-    assert by_lcf[-1].split(" | ")[2] == "-1.0"  # CP falls from section to section
-    assert len((folder / "out" / "figure2.csv").read_text().splitlines()) == 1 + 4 * 4 * TOLERATED
+    assert by_lcf[-2].split(" | ")[1:3] == ["-", "-1.0"]  # CP falls from section to section, SR10 is the same in all
+    assert by_lcf[-1].split(" | ")[:3] == ["| of each seed: mean and range", "-", "-1.00 [-1.00, -1.00]"]
+    assert len((folder / "out" / "figure2.csv").read_text().splitlines()) == 1 + 5 * 4 * TOLERATED
     assert (folder / "out" / "figure2.png").stat().st_size > 10_000
     sections = [lcf for name, level, lcf in asked if name == "macid-0" and level == 1]
     assert len(sections) == len(set(sections)) == 7  # Table I's six and Table II's (0.67, 1.33)
     before = len(asked)
     assert run(monkeypatch, folder, "--no-train") == 0 and len(asked) == before
+
+
+def test_the_knob_is_told_of_each_seed_and_level_with_the_range(made_up, monkeypatch, capsys):
+    folder, asked = made_up
+    assert run(monkeypatch, folder, "--no-train", "--tables", "knob") == 0
+    assert not asked and not (folder / "out" / "table2.md").exists()
+    cp, sr, own = ((folder / "out" / "knob.md").read_text().strip("\n") + "\n").split("\n\n")
+    names, _, first, second, both = cp.splitlines()
+    assert [name.strip() for name in names.split(" | ")[1:5]] == ["Lv.1", "Lv.2", "Lv.3", "Lv.4"]
+    foyer = names.split(" | ").index("foyer")
+    assert first.startswith("| macid-0 | -1.00 |") and first.split(" | ")[foyer] == "-1.00"
+    assert second.split(" | ")[foyer] == "1.00" and both.split(" | ")[foyer] == "0.00 [-1.00, 1.00]"
+    assert first.rstrip(" |").endswith("6.0 to 1.0")
+    assert sr.splitlines()[2].split(" | ")[1] == "-"  # the same in every section
+    crowded = own.splitlines()[0].split(" | ").index("crowded")
+    assert own.splitlines()[2].split(" | ")[crowded] == "-"  # a section without anybody
+    assert own.splitlines()[2].split(" | ")[1] == "-0.90"  # 6 5 4 3 2 3: of the two equal ones each has the mean rank
 
 
 def test_policies_of_another_recipe_are_left_out_and_the_missing_seeds_trained(made_up, monkeypatch, capsys):
