@@ -46,7 +46,7 @@ def _evaluate(args):
     else:
         ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
     configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = check_file(args.out)
+    out = check_file(args.out, "JSON file")
     rows = []
     for level in args.levels:
         print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
@@ -137,7 +137,7 @@ def _bench(args):
     for level in args.levels:
         load_level(level)
     if args.out:
-        check_file(args.out)
+        check_file(args.out, "JSON file")
     rows = bench.run(
         args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
     )

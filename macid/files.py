@@ -108,23 +108,25 @@ def _target(path):
     return target, stat.S_IMODE(mode) & 0o777
 
 
-def check_file(path):
+def check_file(path, what="file"):
     """`path` as a Path, if it is a regular file that can be replaced, or one that could be made, with its folder.
 
-    Links are followed. Makes nothing. Raises UsageError.
+    what: how messages call it. Links are followed. Makes nothing. Raises UsageError.
     """
     path = pathlib.Path(path)
     try:
+        if path.name:
+            check_folder(path.parent)
         target, mode = _target(path)
         if mode is None and path.is_symlink() and not target.parent.is_dir():
             raise OSError(errno.ENOENT, "it is a link that leads nowhere")
-        for folder in {path.parent, target.parent}:
-            check_folder(folder)
+        check_folder(target.parent)
         _check_names([target.name], next(each for each in target.parents if each.is_dir()))
     except UsageError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise UsageError(f"Can't write {named(path)}: {_reason(error)}. Name another file.") from None
+        article = "a" if isinstance(error, IsADirectoryError) else "another"
+        raise UsageError(f"Can't write {named(path)}: {_reason(error)}. Name {article} {what}.") from None
     return path
 
 

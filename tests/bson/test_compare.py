@@ -1,5 +1,6 @@
 import copy
 import json
+import os
 
 import numpy as np
 import pytest
@@ -289,3 +290,25 @@ def test_a_readme_without_its_two_marks_is_left_alone(tmp_path, text):
     with pytest.raises(ValueError, match="README.md.*<!-- leaderboard -->.*<!-- /leaderboard -->"):
         fill_readme(path, "table")
     assert path.exists() == (text is not None) and (text is None or path.read_text() == text)
+
+
+def test_a_readme_keeps_its_line_ends_and_permissions_and_a_link_to_it_stays(tmp_path):
+    path = tmp_path / "README.md"
+    path.write_bytes(f"caf\u00e9\r\n{BEGIN}\r\nold\r\n{END}\r\nend".encode())
+    path.chmod(0o640)
+    (tmp_path / "link.md").symlink_to("README.md")
+    fill_readme(tmp_path / "link.md", "a\nb")
+    assert path.read_bytes() == f"caf\u00e9\r\n{BEGIN}\r\na\r\nb\r\n{END}\r\nend".encode()
+    assert path.stat().st_mode & 0o777 == 0o640 and (tmp_path / "link.md").is_symlink()
+
+
+@pytest.mark.parametrize("content", [b"caf\xe9", b"\xff\xfe", "folder", "fifo"])
+def test_what_is_no_readme_is_told_in_one_line(tmp_path, content):
+    path = tmp_path / "README.md"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        {"folder": path.mkdir, "fifo": lambda: os.mkfifo(path)}[content]()
+    with pytest.raises(ValueError, match="README.md") as caught:
+        fill_readme(path, "table")
+    assert "\n" not in str(caught.value)

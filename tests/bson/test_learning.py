@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from bson.learning.imitation import BcConfig, clone, select
 from bson.learning.train import PRESETS, TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
-from macid.files import UsageError
+from macid.files import UsageError, lock_folder
 from macid.policy import write_network
 
 torch.set_num_threads(1)  # the networks are too small for more
@@ -254,6 +255,31 @@ def test_a_training_done_is_never_done_again(tmp_path):
     with pytest.raises(UsageError, match="another configuration: steps is 64, not 128"):
         train(dataclasses.replace(whole, steps=128), tmp_path)
     assert json.loads((folder / "config.json").read_text())["steps"] == 64
+
+
+def test_a_training_that_cannot_begin_leaves_nothing(tmp_path):
+    crowded = {"num_pedestrians": None, "pedestrian_density": 1.0, "map_size": 12.0}
+    with pytest.raises(ValueError, match="no free goal"):  # told by the first reset
+        train(dataclasses.replace(config("ppo", SMALL_PPO), task=crowded), tmp_path / "new" / "runs")
+    assert not list(tmp_path.iterdir())
+    whole = config("ppo", SMALL_PPO)
+    folder = tmp_path / f"{whole.name}-0"
+    folder.mkdir()
+    os.mkfifo(folder / "curve.csv")
+    with pytest.raises(UsageError, match="curve.csv': it is no regular file"):
+        train(whole, tmp_path)
+    assert os.listdir(folder) == ["curve.csv"]
+
+
+def test_a_training_has_its_folder_for_itself_and_removes_what_killed_ones_left(tmp_path):
+    whole = config("ppo", SMALL_PPO, steps=64)
+    folder = tmp_path / f"{whole.name}-0"
+    with lock_folder(folder), pytest.raises(UsageError, match="Another run is at work"):
+        train(whole, tmp_path)
+    for name in (".checkpoint.npz.0123abcd", ".policy.npz._bc_ef01", ".checkpoint.pkl.01234567"):
+        (folder / name).write_bytes(bytes(1000))
+    assert train(whole, tmp_path) == folder
+    assert not [name for name in os.listdir(folder) if name.startswith(".")]
 
 
 @pytest.mark.parametrize(("worlds", "per_update"), [(16, 16), (16, 8), (24, 16), (1, 4), (6, 4)])

@@ -158,3 +158,26 @@ def test_an_evaluation_that_was_killed_goes_on_and_gives_what_it_would_have_give
         contents[-1].pop("command")
     assert "14/18" in progress[0] and "13/18" not in progress[0] and " 0/18" in progress[1]
     assert contents[0] == contents[1] and len(contents[0]["episodes"]) == 18
+
+
+DELETER = """import shutil
+calls = 0
+def agent(observation):
+    global calls
+    calls += 1
+    if calls > 16 * 4 + 2:  # in the second batch of episodes
+        shutil.rmtree("out", ignore_errors=True)
+    return [1.0, 0.3]
+"""
+
+
+def test_a_folder_deleted_while_running_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "deleter.py").write_text(DELETER)
+    command = ["evaluate", "--agent", "deleter.py", "--suite", "paper", "--episodes", "17", "--videos", "0", "--out", "out"]
+    for change in ("num_pedestrians=2", "map_size=20.0", "goal_distance=(6,15)", "horizon=4", "pedestrian_model=orca"):
+        command += ["--set", change]
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("bson: error: Can't write 'out/unfinished/") and "there is no folder 'out/unfinished'" in error
+    assert os.listdir(tmp_path) == ["deleter.py"]
