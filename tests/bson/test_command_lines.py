@@ -97,6 +97,8 @@ def command_lines(draw, commands, program):
         words += draw(st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3))
     if program == "macid" and command == "evaluate":
         words += ["--pedestrian", "orca"]
+    if command == "watch":  # films and pictures take too long here: it is refused at the latest for that ending
+        words += ["--out", "a.gif"]
     for flag in draw(st.lists(st.sampled_from(sorted(flags)), max_size=4, unique=True)) if flags else []:
         words.append(flag)
         if flags[flag] is not None:
