@@ -29,13 +29,13 @@ class _Interrupts:
     def handle(self, signum, frame):
         """The signal's handler, in the main thread."""
         if not self.raises or self.raised:
+            _flush(sys.stdout)
             self.leave()
         self.raised = True
         raise KeyboardInterrupt
 
     def leave(self):
-        """Ends the process, as a finish with other threads at work can crash."""
-        _flush(sys.stdout)
+        """Ends the process at once: an ordinary end with other threads at work can crash."""
         os.write(2, f"{chr(10) if self.raises else ''}{self.program}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
