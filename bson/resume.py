@@ -49,8 +49,8 @@ def _agent_files(name):
     """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
     module, colon, _ = name.rpartition(":")
     path = pathlib.Path(module if colon else name)
-    if colon and module in sys.modules:
-        path = pathlib.Path(sys.modules[module].__file__)
+    if colon and (file := getattr(sys.modules.get(module), "__file__", None)):  # modules of compiled code may have none
+        path = pathlib.Path(file)
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
 

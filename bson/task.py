@@ -139,7 +139,7 @@ class TaskConfig:
         """Physics steps in a pedestrians' decision."""
         return round(self.decision_period / PHYSICS_STEP)
 
-    def replace(self, **changes):
+    def replace(self, /, **changes):
         """This configuration with `changes`; a pedestrian count replaces a density and the other way round.
 
         Raises ValueError for an unknown name, listing the valid ones.

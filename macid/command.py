@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 
 from macid.files import UsageError, one_line
 
@@ -12,6 +13,7 @@ MOST_SEED = 2**63 - 1
 MOST_TRAINING_SEED = 2**32 - 1  # beyond it, generators of random numbers take the remainder or refuse
 MOST_STEPS = 1e12
 MOST_PERIOD = 3600.0  # [s]
+_NEGATIVE = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$")
 _NAME = 1000  # characters of an agent's name, a file's
 _WORD = 100_000  # of any word: an LCF for each of 2,000 people fits
 
@@ -21,6 +23,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE  # argparse takes -1e-3 and -inf for flags
         self._bounds = {}
 
     def number(self, flag, kind, least, most, above=False, also="", **more):

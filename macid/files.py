@@ -309,7 +309,8 @@ def start_mujoco(draws=True):
     """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL then. Raises UsageError. A command that does
     not draw goes on without OpenGL where the choice can't be had, or without MuJoCo where that isn't there."""
     try:
-        import mujoco  # noqa: F401
+        with start.quiet_children():  # of GLFW
+            import mujoco  # noqa: F401
 
         return
     except Exception as error:  # whatever its choice of OpenGL brings up

@@ -29,13 +29,14 @@ class _Interrupts:
     def handle(self, signum, frame):
         """The signal's handler, in the main thread."""
         if not self.raises or self.raised:
+            _flush(sys.stdout)
             self.leave()
         self.raised = True
         raise KeyboardInterrupt
 
     def leave(self):
-        """Ends the process, as a finish with other threads at work can crash."""
-        _flush(sys.stdout)
+        """Ends the process at once: an ordinary end with other threads at work can crash."""
+        _end_children()
         os.write(2, f"{chr(10) if self.raises else ''}{self.program}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
@@ -109,6 +110,27 @@ def _open_standard_handles():
             os.fstat(handle)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this
+
+
+def _end_children():
+    """Ends processes that this one waits for, as GLFW asks one for its version: they would tell of their pipe's end."""
+    try:
+        for thread in os.listdir("/proc/self/task"):
+            with open(f"/proc/self/task/{thread}/children") as children:
+                for child in children.read().split():
+                    os.kill(int(child), signal.SIGKILL)
+    except OSError:  # not on Linux, or over already
+        pass
+
+
+class quiet_children:
+    """A context in which processes that are begun do not hear Ctrl-C, which a terminal sends to all; this one does."""
+
+    def __enter__(self):
+        self._before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+
+    def __exit__(self, *error):
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._before)
 
 
 def _flush(stream):

@@ -314,7 +314,11 @@ def train_with_bar(config, out, resume=False):
                 bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
             bar.set_postfix_str(text, refresh=True)
 
-        return train(config, out, resume, show)
+        try:
+            return train(config, out, resume, show)
+        finally:
+            if bar.n:  # tqdm does not end the line of a bar that was only refreshed
+                print(file=sys.stderr)
 
 
 def _train_bc(config, keeper, show):

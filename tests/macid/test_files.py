@@ -313,6 +313,26 @@ def test_a_users_error_is_one_line_and_an_exit_code(capsys, error, code):
     assert ("no such" in err) == (code == 2)
 
 
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(28, "No space left on device", "a/b.npz"), "error: No space left on device: 'a/b.npz'."),
+        (PermissionError(13, "Permission denied"), "error: Permission denied."),
+        (MemoryError("8 TB"), "not enough memory"),
+        (UsageError("two\nlines\x1b[0m and \udcff"), r"error: two lines\x1b[0m and \udcff"),
+        (UsageError("x" * 100_000), "xxx..."),
+    ],
+)
+def test_whatever_an_error_says_is_one_printable_line(capsys, error, told):
+    def main():
+        raise error
+
+    assert run_command("tool", main) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("tool: error: ") and err.count("\n") == 1 and told in err
+    assert err[:-1].isprintable() and len(err) < 5000
+
+
 def test_other_errors_are_not_hidden():
     with pytest.raises(ZeroDivisionError):
         run_command("tool", lambda: 1 / 0)

@@ -7,9 +7,12 @@ import subprocess
 import sys
 import time
 
+import jax
 import pytest
 
 import macid
+from macid import start
+from macid.learning.train import PRESETS, TrainConfig, train
 
 ROOT = pathlib.Path(macid.__file__).parents[1]
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -88,3 +91,41 @@ def test_ctrl_c_at_any_moment(tmp_path, command):
     came = [check(command, delay, tmp_path / f"{number}") for number, delay in enumerate(delays)]
     print(f"{command}: {sum(came)} of {sum(came)} interrupted in time ended as they should")
     assert sum(came) >= 3
+
+
+def interrupt_myself():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.01)  # Python calls the handler before this ends
+
+
+def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_not():
+    before, kept = signal.getsignal(signal.SIGINT), False
+    with start.deferred(lambda: kept) as interrupted:
+        with pytest.raises(KeyboardInterrupt):
+            interrupt_myself()
+    with start.deferred(lambda: kept) as interrupted:
+        kept = True
+        assert not interrupted()
+        interrupt_myself()
+        assert interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            interrupt_myself()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypatch):
+    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=PRESETS["fast"])  # 3 iterations
+    arrived, fetch = [], jax.device_get
+
+    def interrupted(logs):
+        arrived.append(logs)
+        if len(arrived) == 2:
+            interrupt_myself()
+        return fetch(logs)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(jax, "device_get", interrupted)
+        train(config, tmp_path, show=lambda line: None)
+    (rows,) = tmp_path.rglob("curve.csv")
+    assert rows.read_text().count("\n") == 3 and len(arrived) == 2  # a header and two iterations
+    assert list(tmp_path.rglob("checkpoint*")) and not list(tmp_path.rglob("policy*"))
