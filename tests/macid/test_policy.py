@@ -222,3 +222,21 @@ def test_weights_that_are_not_finite_are_refused_when_read(tmp_path, value):
     policy.write_network(tmp_path / "mine", layers, {})
     with pytest.raises(ValueError, match="mine.npz' is not a policy .*weight1 holds"):
         policy.load_policy(str(tmp_path / "mine.npz"))
+
+
+def test_a_policy_that_sees_the_numbers_as_they_are_is_the_same_in_all_three():
+    rng = np.random.default_rng(4)
+    sizes = (observation.SIZE + 1, 8, policy.ACTIONS)
+    layers = [
+        (rng.normal(0, 0.1, pair).astype(np.float32), np.zeros(pair[1], np.float32))
+        for pair in zip(sizes[:-1], sizes[1:], strict=True)
+    ]
+    made, (seen, lcf) = policy.Policy(tuple(layers), {"inputs": "observation"}), observations(20)
+    seen[:, 5] = np.inf
+    by_hand = seen.copy()
+    by_hand[:, 5:8] = [7.0, 0.0, 0.0]
+    x = np.concatenate([by_hand, lcf[:, None] / 2], axis=-1)
+    hidden = np.tanh(x @ layers[0][0])
+    np.testing.assert_allclose(made.action(seen, lcf), hidden @ layers[1][0], rtol=1e-5, atol=1e-6)
+    for name, asked in ways(made).items():
+        np.testing.assert_allclose(asked(seen, lcf), made(seen, lcf), atol=1e-5, err_msg=name)
