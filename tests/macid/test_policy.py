@@ -107,10 +107,14 @@ def ways(made):
     """The three ways to ask a policy: {name: function of an observation and an LCF}."""
     torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
     module = made.to_torch()
+
+    def asked(seen, lcf):
+        return module(seen if torch.is_tensor(seen) else torch.as_tensor(seen), lcf).detach().numpy()
+
     return {
         "numpy": made,
         "jax": lambda seen, lcf: made(jnp.asarray(seen), lcf),
-        "torch": lambda seen, lcf: module(seen if torch.is_tensor(seen) else torch.as_tensor(seen), lcf).detach().numpy(),
+        "torch": asked,
     }
 
 
@@ -185,7 +189,8 @@ def test_flags_whole_numbers_lists_and_doubles_are_numbers():
     seen[:] = np.round(seen)
     expected = made(seen, 1)
     assert np.isfinite(expected).all()
-    for same in (seen.tolist(), seen.astype(int), seen.astype(float), [[*row[:4].tolist(), bool(row[4]), *row[5:]] for row in seen]):
+    flagged = [[*row[:4].tolist(), bool(row[4]), *row[5:]] for row in seen]
+    for same in (seen.tolist(), seen.astype(int), seen.astype(float), flagged):
         for name, asked in ways(made).items():
             np.testing.assert_allclose(asked(same, np.int64(1)), expected, atol=1e-5, err_msg=name)
     assert made(np.zeros((0, observation.SIZE)), 0.0).shape == (0, 2)
