@@ -76,7 +76,7 @@ def check_comparable(runs):
 def _setting(value):
     if isinstance(value, dict):
         return ", ".join(f"{key}={each}" for key, each in value.items()) or "nothing"
-    return "none" if value is None else f"'{value}'"
+    return "none" if value is None else shown(value)
 
 
 def labels(runs):

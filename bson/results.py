@@ -107,14 +107,16 @@ def _check_sense(found, name):
         raise UsageError(f"{name}, key 'cells': {shown(twice[0])} stands twice.")
     for index, cell in enumerate(found.cells):
         if list(cell.grades) != axes or (len(cells) > 1 and not axes):
-            raise UsageError(f"{name}, key 'cells[{index}].grades': the axes {shown(axes or 'of several cells')} are wanted.")
+            wanted = shown(axes or "of several cells")
+            raise UsageError(f"{name}, key 'cells[{index}].grades': the axes {wanted} are wanted.")
     known, played = set(cells), set()
     for key, rows in (("episodes", found.episodes), ("faults", found.faults)):
         for index, row in enumerate(rows):
             if row.cell not in known:
                 raise UsageError(f"{name}, key '{key}[{index}].cell': {shown(row.cell)} is none of the cells.")
             if (row.cell, row.seed) in played:
-                raise UsageError(f"{name}, key '{key}[{index}]': the episode {row.seed} of {shown(row.cell)} stands twice.")
+                which = f"the episode {row.seed} of {shown(row.cell)}"
+                raise UsageError(f"{name}, key '{key}[{index}]': {which} stands twice.")
             played.add((row.cell, row.seed))
     for metric in found.summary:
         if metric not in found.intervals:

@@ -85,7 +85,8 @@ def _array(name, stream, size):
     kind, shape = np.dtype(found[1].decode()), tuple(map(int, re.findall(rb"\d+", found[3])))
     wanted = size - 8 - width - length
     if len(shape) > 32 or math.prod(shape) * kind.itemsize != wanted:
-        raise DamagedError(f"{name[:60]!r} in it declares {'x'.join(map(str, shape[:8]))} numbers, but has {wanted:,} bytes")
+        declared = "x".join(map(str, shape[:8]))
+        raise DamagedError(f"{name[:60]!r} in it declares {declared} numbers, but has {wanted:,} bytes")
     content = stream.read(wanted + 1)
     if len(content) != wanted:
         raise EOFError

@@ -270,7 +270,8 @@ def _check_shapes(observed, lcf):
     except ValueError:
         fits = False
     if not fits:
-        raise ValueError(f"Observations {tuple(observed)} take LCFs {tuple(observed[:-1])} or one for all, not {tuple(lcf)}.")
+        wanted = f"LCFs {tuple(observed[:-1])} or one for all"
+        raise ValueError(f"Observations {tuple(observed)} take {wanted}, not {tuple(lcf)}.")
 
 
 def _check_observed(observed):
@@ -415,7 +416,8 @@ def _parsed(path, weights, recipe):
         wanted = [f"{kind}{number}" for number in range(count) for kind in ("weight", "bias")]
         if documents or found.keys() != set(wanted):
             odd = sorted({*found, *documents} - set(wanted)) or sorted(set(wanted) - found.keys())
-            raise ValueError(f"it holds weight0, bias0, weight1 and so on, and nothing else: {odd[0][:60]!r} is odd or missing")
+            told = f"{odd[0][:60]!r} is odd or missing"
+            raise ValueError(f"it must hold weight0, bias0, weight1 and so on, and nothing else: {told}")
         layers = tuple((found[f"weight{number}"], found[f"bias{number}"]) for number in range(count))
         check_layers(layers)
     except ValueError as error:

@@ -15,6 +15,7 @@ from macid import drawing, geometry, metrics, scene
 from macid.crowd import Crowd, CrowdConfig, snapshot
 from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.evaluate import level_name, level_seed
+from macid.files import UsageError
 from macid.layout import WALL_THICKNESS, Layout, load_level
 from macid.pedestrians import MODELS, make_controller
 from macid.state import GOAL_RADIUS, RADIUS
@@ -98,7 +99,7 @@ class Recording:
 def record(pedestrian, level, config=CrowdConfig(), seed=0):
     """The episode that `macid evaluate --episodes 1` has for the same arguments, as a Recording.
 
-    config's `number` is overridden by the level's.
+    config's `number` is overridden by the level's. Raises UsageError where physics fails.
     """
     controller = make_controller(pedestrian, config.period)
     layout = load_level(level)
@@ -106,6 +107,8 @@ def record(pedestrian, level, config=CrowdConfig(), seed=0):
     crowd = Crowd(layout, config)
     start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
     end, moments = crowd.rollout(start, controller, record=snapshot)
+    if what := crowd.engine.faults(end.physics)[0]:
+        raise UsageError(f"Physics failed in the episode of seed {seed}: {what}. Choose another --seed.")
     last = snapshot(crowd.engine.read(end.physics), end)
     fields = [np.concatenate([each, final[None]])[:, 0] for each, final in zip(moments, last, strict=True)]
     lcf, goals = np.asarray(start.lcf)[0], np.asarray(start.goals)[0]

@@ -105,7 +105,8 @@ def restore(model, found, noted, layers):
                 likes = (np.zeros((), np.float32), whole, whole)
                 wanted |= {f"{name}/{index}/{key}": like for key, like in zip(_MOMENTS, likes, strict=True)}
     optimizers = {name: state["param_groups"] for name, state in parameters.items() if "param_groups" in state}
-    if {name: len(rates) for name, rates in noted["rates"].items()} != {n: len(groups) for n, groups in optimizers.items()}:
+    rated, grouped = ({name: len(each) for name, each in many.items()} for many in (noted["rates"], optimizers))
+    if rated != grouped:
         raise ValueError("it has other optimisers")
     wanted |= {name: tensor.detach().numpy() for name, tensor in _variables(model).items()}
     replay, filled = getattr(model, "replay_buffer", None), noted["replay"]

@@ -63,7 +63,8 @@ def read_config(folder):
         return read_document(folder / "config.json", dict, "configuration")
     except UsageError as error:
         raise UsageError(
-            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or use another --out."
+            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or use "
+            "another --out."
         ) from None
 
 

@@ -16,7 +16,8 @@ from macid import arrays
 from macid.files import UsageError
 from macid.learning.curves import plain
 
-TASK = {"num_pedestrians": 1, "pedestrian_model": "standing", "map_size": 20.0, "goal_distance": (4.0, 8.0), "horizon": 20}
+TASK = {"num_pedestrians": 1, "pedestrian_model": "standing", "map_size": 20.0, "goal_distance": (4.0, 8.0)}
+TASK |= {"horizon": 20}
 
 
 def config(algo):
@@ -112,7 +113,8 @@ def test_a_checkpoint_that_is_another_trainings_is_refused_before_anything_chang
 def test_a_damaged_file_is_named_with_what_to_do(begun, tmp_path):
     whole, found, noted = begun
     content = arrays.pack(found, {"training": noted})
-    for damaged in (b"", b"{}", content[: len(content) // 2], content[:-1], content[1000:], content.replace(b"NUMPY", b"NUMPX")):
+    other = content.replace(b"NUMPY", b"NUMPX")
+    for damaged in (b"", b"{}", content[: len(content) // 2], content[:-1], content[1000:], other):
         folder = place(tmp_path, whole, damaged)
         refused(whole, tmp_path, "checkpoint.npz' is damaged")
         for file in folder.iterdir():

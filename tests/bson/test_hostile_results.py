@@ -52,8 +52,9 @@ GOOD = {
 }
 
 
-def one_line(error):
-    assert len(str(error).splitlines()) == 1 and str(error).isprintable() and len(str(error)) < 3000, str(error)
+def one_line(error, printable=False):
+    text = str(error)  # the command shows what is not printable by its escape
+    assert len(text.splitlines()) == 1 and (text.isprintable() or not printable) and len(text) < 3000, text
 
 
 def ends_well(folder, content):
@@ -65,7 +66,7 @@ def ends_well(folder, content):
     try:
         runs = [load_run(good), load_run(theirs)]
     except UsageError as error:
-        one_line(error)
+        one_line(error, printable=True)
         assert "theirs.json" in str(error)
         return "refused"
     done = "read"
@@ -84,6 +85,14 @@ def ends_well(folder, content):
         except ValueError as error:
             one_line(error)
     return done
+
+
+def test_a_name_that_no_terminal_shows_is_shown_by_its_escape(tmp_path, capsys):
+    for name, suite in (("good", "made"), ("theirs", "\u00ad\u202e")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "results.json").write_text(json.dumps({**GOOD, "suite": suite}))
+    assert cli.main(["compare", str(tmp_path / "good"), str(tmp_path / "theirs"), "--out", str(tmp_path / "out")]) == 2
+    assert "suite 'made' against '\\xad\\u202e'" in capsys.readouterr().err
 
 
 @given(content=json_files(GOOD))
@@ -212,5 +221,5 @@ def test_an_agents_file_is_read_or_refused_in_one_line(tmp_path_factory, content
         agent.reset(0)
         assert np.abs(act(agent, SEEN, "robot.npz")).max() <= 1.0
     except (UsageError, AgentError) as error:
-        one_line(error)
+        one_line(error, printable=True)
         assert "robot" in str(error)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from macid import cli, metrics
+from macid import cli, metrics, watch
 from macid.crowd import Crowd, CrowdConfig
 from macid.evaluate import evaluate_level, format_table, measure_knob
 from macid.layout import load_level
@@ -92,6 +92,8 @@ def test_an_episode_in_which_physics_failed_is_not_scored(monkeypatch, engine, t
     with pytest.raises(ValueError, match="nothing to score: physics failed in all episodes of 'mad' on Lv.1. Episode 0: "):
         evaluate_level("mad", 1, episodes=3, config=short, engine=engine)
     if engine == "native":
+        with pytest.raises(ValueError, match="Physics failed in the episode of seed 3: .* Choose another --seed"):
+            watch.record("mad", 1, short, seed=3)
         out = tmp_path / "rows.json"
         command = ["evaluate", "--pedestrian", "mad", "--levels", "1", "--episodes", "1", "--period", "0.1"]
         assert cli.main([*command, "--out", str(out)]) == 2 and not out.exists()

@@ -84,7 +84,8 @@ def test_the_good_one_is_taken_and_its_finds_are_told(tmp_path):
         with archive.open("weight0.npy", "w") as member:
             for _ in range(80):
                 member.write(bytes(1 << 20))
-    declared = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f4', 'fortran_order': False, 'shape': (43, 1000000000), }".ljust(117) + b"\n"
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (43, 1000000000), }".ljust(117) + b"\n"
+    declared = b"\x93NUMPY\x01\x00v\x00" + header
     large = io.BytesIO()
     with zipfile.ZipFile(large, "w") as archive:
         archive.writestr("weight0.npy", declared)

@@ -437,7 +437,8 @@ def test_a_damaged_training_is_told_and_no_pickle_is_read(tmp_path):
         return train_module._restored(*saved, tmp_path / curves.CHECKPOINT, [config], begin)
 
     read, curve_read, seconds = restored()
-    assert same(*(jax.tree.map(train_module._keep, each) for each in (states, read))) and (curve_read, seconds) == ([curve], 1.5)
+    assert same(*(jax.tree.map(train_module._keep, each) for each in (states, read)))
+    assert (curve_read, seconds) == ([curve], 1.5)
     assert jax.tree.structure(read) == jax.tree.structure(states)
     some = next(name for name in named if "policy" in name)
     for arrays_now, noted_now, told in (

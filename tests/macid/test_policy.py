@@ -107,10 +107,14 @@ def ways(made):
     """The three ways to ask a policy: {name: function of an observation and an LCF}."""
     torch = pytest.importorskip("torch", reason="needs the extra 'agents'")
     module = made.to_torch()
+
+    def asked(seen, lcf):
+        return module(seen if torch.is_tensor(seen) else torch.as_tensor(seen), lcf).detach().numpy()
+
     return {
         "numpy": made,
         "jax": lambda seen, lcf: made(jnp.asarray(seen), lcf),
-        "torch": lambda seen, lcf: module(seen if torch.is_tensor(seen) else torch.as_tensor(seen), lcf).detach().numpy(),
+        "torch": asked,
     }
 
 
@@ -185,7 +189,8 @@ def test_flags_whole_numbers_lists_and_doubles_are_numbers():
     seen[:] = np.round(seen)
     expected = made(seen, 1)
     assert np.isfinite(expected).all()
-    for same in (seen.tolist(), seen.astype(int), seen.astype(float), [[*row[:4].tolist(), bool(row[4]), *row[5:]] for row in seen]):
+    flagged = [[*row[:4].tolist(), bool(row[4]), *row[5:]] for row in seen]
+    for same in (seen.tolist(), seen.astype(int), seen.astype(float), flagged):
         for name, asked in ways(made).items():
             np.testing.assert_allclose(asked(same, np.int64(1)), expected, atol=1e-5, err_msg=name)
     assert made(np.zeros((0, observation.SIZE)), 0.0).shape == (0, 2)
@@ -222,3 +227,21 @@ def test_weights_that_are_not_finite_are_refused_when_read(tmp_path, value):
     policy.write_network(tmp_path / "mine", layers, {})
     with pytest.raises(ValueError, match="mine.npz' is not a policy .*weight1 holds"):
         policy.load_policy(str(tmp_path / "mine.npz"))
+
+
+def test_a_policy_that_sees_the_numbers_as_they_are_is_the_same_in_all_three():
+    rng = np.random.default_rng(4)
+    sizes = (observation.SIZE + 1, 8, policy.ACTIONS)
+    layers = [
+        (rng.normal(0, 0.1, pair).astype(np.float32), np.zeros(pair[1], np.float32))
+        for pair in zip(sizes[:-1], sizes[1:], strict=True)
+    ]
+    made, (seen, lcf) = policy.Policy(tuple(layers), {"inputs": "observation"}), observations(20)
+    seen[:, 5] = np.inf
+    by_hand = seen.copy()
+    by_hand[:, 5:8] = [7.0, 0.0, 0.0]
+    x = np.concatenate([by_hand, lcf[:, None] / 2], axis=-1)
+    hidden = np.tanh(x @ layers[0][0])
+    np.testing.assert_allclose(made.action(seen, lcf), hidden @ layers[1][0], rtol=1e-5, atol=1e-6)
+    for name, asked in ways(made).items():
+        np.testing.assert_allclose(asked(seen, lcf), made(seen, lcf), atol=1e-5, err_msg=name)
