@@ -16,6 +16,7 @@ from macid.layout import Layout, load_layout
 
 MAX_BOXES = 1500  # of an image
 _SUFFIXES = (".toml", ".yaml", ".yml")
+_MOST_RUNS = 2_000_000  # of solid cells along a row, of an image that may need no merging
 _YAML_BYTES = 1 << 16
 _Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
@@ -171,13 +172,16 @@ def rectangles(solid, resolution):
 
 def _rectangles(solid, resolution):
     """Rows (x0, x1, y0, y1) of at most MAX_BOXES rectangles that cover the cells `solid`, in cells."""
-    found = cover.exact(solid)
-    if len(found) <= MAX_BOXES:
-        return found
+    needed = cover.runs(solid)
+    if needed <= _MOST_RUNS:
+        found = cover.exact(solid)
+        if len(found) <= MAX_BOXES:
+            return found
+        needed = len(found)
     merged = cover.merged(solid, resolution, MAX_BOXES)
     if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
+            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
             "to go. Smooth it, or lower its resolution."
         )
     return merged
