@@ -22,6 +22,7 @@ MOST_BYTES = 1 << 20  # of a map, a robot, a suite [bytes]
 MOST_NUMBER = 1e18  # in any field, beside whole numbers, which may fill 64 bits
 _SHOWN = 60  # characters of a value in a message
 _SHOWN_PATH = 120  # and of a file's name
+_MOST_DEEP = 100  # brackets in brackets of YAML
 _MOST_PARTS = 64  # of a dotted key: tomllib's time grows with their square
 
 
@@ -69,6 +70,11 @@ class _Yaml(yaml.SafeLoader):
         if self.check_event(yaml.events.AliasEvent):
             raise yaml.YAMLError("aliases (*name) are not supported")
         return super().compose_node(parent, index)
+
+    def fetch_flow_collection_start(self, token):
+        if self.flow_level >= _MOST_DEEP:  # before PyYAML looks ahead in time that grows with the square
+            raise yaml.YAMLError("it is nested too deeply")
+        super().fetch_flow_collection_start(token)
 
     def construct_mapping(self, node, deep=False):
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
