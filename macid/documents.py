@@ -26,6 +26,14 @@ _MOST_DEEP = 100  # brackets in brackets of YAML
 _MOST_PARTS = 64  # of a dotted key: tomllib's time grows with their square
 
 
+def number(description, **bounds):
+    """The type of a number within `bounds` (of msgspec.Meta), which messages describe so. A whole one stays whole, as it
+    stands in digests."""
+    rounded = {key: math.ceil(bound) if key in ("ge", "lt") else math.floor(bound) for key, bound in bounds.items()}
+    whole, real = (msgspec.Meta(description=description, **each) for each in (rounded, bounds))
+    return typing.Annotated[int, whole] | typing.Annotated[float, real]
+
+
 def shown(value):
     """`value` as a message shows it: short, and printable on any terminal."""
     text = reprlib.repr(value) if isinstance(value, dict | list | tuple) else repr(value)

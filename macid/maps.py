@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, cover, geometry, occupancy
-from macid.documents import read_document, shown, shown_path
+from macid.documents import number, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.layout import Layout, load_layout
 
@@ -25,7 +25,7 @@ class _Occupancy(msgspec.Struct):
     """The keys of map_server's YAML that count here; it may have others. Defaults are map_server's."""
 
     image: Annotated[str, Meta(min_length=1)]
-    resolution: Annotated[float, Meta(gt=0, le=100)]
+    resolution: number("a number above 0 and of at most 100 m", gt=0, le=100)
     origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 0.0)
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.65
