@@ -41,7 +41,7 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import read_bytes, read_document, shown, shown_path
+from macid.documents import number, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
@@ -80,7 +80,7 @@ def _domain(name):
 
 def _bounded(name):
     least, most, _ = _BOUNDS[name]
-    return Annotated[float, Meta(ge=least, le=most, description=_domain(name))]
+    return number(_domain(name), ge=least, le=most)
 
 
 _Name = Annotated[str, Meta(min_length=1, max_length=1000, description="a name")]
@@ -148,8 +148,8 @@ class RobotConfig:
     def __post_init__(self):
         for name, (least, most, _) in _BOUNDS.items():
             value = getattr(self, name)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not (number and least <= value <= most):
+            real = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (real and least <= value <= most):
                 raise ValueError(f"Robot {shown_path(self.name)}: {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(

@@ -13,6 +13,11 @@ _ROUNDING = 1e-3  # of distances in float32, in cells
 _POCKET = 1.0  # area in which nobody needs to walk [m2]
 
 
+def runs(solid):
+    """How many runs of cells along a row the grid `solid` (rows, columns) bool has: what `exact` takes time and memory for."""
+    return np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0])
+
+
 def exact(solid):
     """Rectangles (N, 4) that cover the cells `solid` (rows, columns) bool and no other, none twice: runs of cells along a
     row are joined with equal runs in the rows above."""
@@ -20,10 +25,10 @@ def exact(solid):
     edges = np.diff(np.pad(solid.astype(np.int8), ((0, 1), (1, 1))), axis=1)
     starts, ends = np.argwhere(edges == 1), np.argwhere(edges == -1)
     first = np.searchsorted(starts[:, 0], np.arange(rows + 2))
-    runs = list(zip(starts[:, 1].tolist(), ends[:, 1].tolist(), strict=True))
+    along = list(zip(starts[:, 1].tolist(), ends[:, 1].tolist(), strict=True))
     open_runs, found = {}, []
     for row in range(rows + 1):
-        here = dict.fromkeys(runs[first[row] : first[row + 1]])
+        here = dict.fromkeys(along[first[row] : first[row + 1]])
         for run in [run for run in open_runs if run not in here]:
             found.append((*run, open_runs.pop(run), row))
         for run in here:
@@ -40,23 +45,24 @@ def merged(solid, resolution, most):
     """
     grain = 1
     coarse = solid
-    while coarse.size > _MOST_CELLS or np.count_nonzero(coarse[:, 1:] & ~coarse[:, :-1]) > _MOST_RUNS:
+    while coarse.size > _MOST_CELLS or runs(coarse) > _MOST_RUNS:
         grain *= 2
         coarse = _coarser(solid, grain)
     side = grain * resolution
     distance = _distance(coarse)
     ways = _ways(distance, side)
     fallback = None
-    for far in (0.0, *(side * 2.0 ** np.arange(1 + np.ceil(np.log2(sum(coarse.shape)))))):  # the last reaches everywhere
-        spared = far <= 4 * RADIUS
-        found = _cover(coarse, _allowed(coarse, distance, side, far, ways, spared))
-        if len(found) <= most and _still_joined(coarse, found, side, ways):
-            return _scaled(found, grain, solid.shape)
-        if spared:
-            found = _cover(coarse, _allowed(coarse, distance, side, far, ways, False))
-        if fallback is None and len(found) <= most:
-            fallback = found
-        if fallback is not None and not spared:
+    steps = 1 + int(np.ceil(np.log2(sum(coarse.shape))))  # the last reaches everywhere
+    for far in (0.0, *(side * 2.0 ** np.arange(steps))):
+        choices = (True, False) if far <= 4 * RADIUS else (False,)
+        for spared in choices:
+            found = _cover(coarse, _allowed(coarse, distance, side, far, ways, spared))
+            if len(found) > most:
+                continue
+            if _still_joined(coarse, found, side, ways):
+                return _scaled(found, grain, solid.shape)
+            fallback = found if fallback is None else fallback
+        if fallback is not None and far > 4 * RADIUS:
             return _scaled(fallback, grain, solid.shape)
     raise AssertionError("one rectangle covers everything")
 

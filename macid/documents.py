@@ -23,7 +23,16 @@ MOST_BYTES = 1 << 20  # of a map, a robot, a suite [bytes]
 MOST_NUMBER = 1e18  # in any field, beside whole numbers, which may fill 64 bits
 _SHOWN = 60  # characters of a value in a message
 _SHOWN_PATH = 120  # and of a file's name
+_MOST_DEEP = 100  # brackets in brackets of YAML
 _MOST_PARTS = 64  # of a dotted key: tomllib's time grows with their square
+
+
+def number(description, **bounds):
+    """The type of a number within `bounds` (of msgspec.Meta), which messages describe so. A whole one stays whole, as it
+    stands in digests."""
+    rounded = {key: math.ceil(bound) if key in ("ge", "lt") else math.floor(bound) for key, bound in bounds.items()}
+    whole, real = (msgspec.Meta(description=description, **each) for each in (rounded, bounds))
+    return typing.Annotated[int, whole] | typing.Annotated[float, real]
 
 
 def shown(value):
@@ -75,6 +84,11 @@ class _Yaml(yaml.SafeLoader):
         if self.check_event(yaml.events.AliasEvent):
             raise yaml.YAMLError("aliases (*name) are not supported")
         return super().compose_node(parent, index)
+
+    def fetch_flow_collection_start(self, token):
+        if self.flow_level >= _MOST_DEEP:  # before PyYAML looks ahead in time that grows with the square
+            raise yaml.YAMLError("it is nested too deeply")
+        super().fetch_flow_collection_start(token)
 
     def construct_mapping(self, node, deep=False):
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]

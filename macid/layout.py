@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import read_document, shown_path
+from macid.documents import number, read_document, shown_path
 from macid.files import UsageError
 from macid.state import RADIUS
 
@@ -199,7 +199,7 @@ _Regions = Annotated[
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     """The keys of a layout file."""
 
-    size: Annotated[float, Meta(gt=0, le=1000, description="a number [m] above 0 and of at most 1000")]
+    size: number("a number [m] above 0 and of at most 1000", gt=0, le=1000)
     name: Annotated[str, Meta(min_length=1, max_length=100, description="a text of 1 to 100 characters")] = "layout"
     obstacles: _Boxes = []
     walls: _rows("x0", "y0", "x1", "y1") = []

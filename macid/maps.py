@@ -10,12 +10,13 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, cover, geometry, occupancy
-from macid.documents import read_document, shown, shown_path
+from macid.documents import number, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.layout import Layout, load_layout
 
 MAX_BOXES = 1500  # of an image
 _SUFFIXES = (".toml", ".yaml", ".yml")
+_MOST_RUNS = 2_000_000  # of solid cells along a row, of an image that may need no merging
 _YAML_BYTES = 1 << 16
 _Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
@@ -24,7 +25,7 @@ class _Occupancy(msgspec.Struct):
     """The keys of map_server's YAML that count here; it may have others. Defaults are map_server's."""
 
     image: Annotated[str, Meta(min_length=1)]
-    resolution: Annotated[float, Meta(gt=0, le=100)]
+    resolution: number("a number above 0 and of at most 100 m", gt=0, le=100)
     origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 0.0)
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.65
@@ -171,13 +172,16 @@ def rectangles(solid, resolution):
 
 def _rectangles(solid, resolution):
     """Rows (x0, x1, y0, y1) of at most MAX_BOXES rectangles that cover the cells `solid`, in cells."""
-    found = cover.exact(solid)
-    if len(found) <= MAX_BOXES:
-        return found
+    needed = cover.runs(solid)
+    if needed <= _MOST_RUNS:
+        found = cover.exact(solid)
+        if len(found) <= MAX_BOXES:
+            return found
+        needed = len(found)
     merged = cover.merged(solid, resolution, MAX_BOXES)
     if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {len(found):,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
+            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
             "to go. Smooth it, or lower its resolution."
         )
     return merged

@@ -486,6 +486,10 @@ def test_a_file_of_ones_own_is_a_robot_with_its_meshes(box):
     assert after_a_second(model, (0.5, 0.5), description) == pytest.approx([0.5, 0.5], rel=0.1)
 
 
+def test_a_whole_number_stays_whole(box):
+    assert repr(robot.load_robot(box(toml=("max_speed = 1.0", "max_speed = 1"))).config.max_speed) == "1"  # as in digests
+
+
 def test_what_xacro_has_expanded_is_read(box):
     robot.load_robot(box(urdf=('<robot name="box">', '<robot name="box" xmlns:xacro="http://www.ros.org/wiki/xacro">')))
 

@@ -174,3 +174,10 @@ def test_the_most_clearance_is_that_of_the_best_place(half):
     assert most_clearance(layout, region) == pytest.approx(best, abs=0.01)
     assert most_clearance(Layout(10.0, [])) == pytest.approx(5.0, abs=0.01)
     assert most_clearance(Layout(10.0, [[0.0, 0.0, 6.0, 6.0, 0.0]])) == 0
+
+
+def test_a_whole_size_stays_whole(tmp_path):
+    (tmp_path / "map.toml").write_text("size = 20\n")
+    image = write_map(tmp_path, np.full((4, 4), 254, np.uint8), resolution=2)
+    for file, size in ((tmp_path / "map.toml", 20), (image, 8)):
+        assert repr(load_map(str(file)).size) == str(size)  # digests of suites have it so
