@@ -453,6 +453,10 @@ def test_counts_of_people_and_worlds_are_bounded():
             BsonVectorEnv(number, **SMALL)
         with pytest.raises(ValueError, match="nworld"):
             World(TaskConfig(**SMALL), number)
+    parallel_env = pytest.importorskip("macid.parallel_env", reason="needs the extra 'pettingzoo'")
+    for number in (parallel_env.MAX_PEOPLE + 1, 10**400, 1.5, "two", 0):
+        with pytest.raises(ValueError, match="number must be a whole number|at least one person"):
+            parallel_env.CrowdParallelEnv(1, number=number)
 
 
 def test_options_whose_keys_are_no_names_are_refused():
