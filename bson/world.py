@@ -8,7 +8,6 @@ Worlds of any counts share a few compiled decisions: people and boxes are filled
 people and boxes out of everybody's reach (`_decision`).
 """
 
-import collections
 import contextlib
 import copy
 import functools

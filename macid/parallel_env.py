@@ -82,7 +82,7 @@ class CrowdParallelEnv(ParallelEnv):
         self._arguments = (level, config, number, reward, weights, engine)
         forks.refuse()
         layout = level if isinstance(level, Layout) else load_level(level)
-        if number is not None and not _is_whole(number, 1, MAX_PEOPLE):
+        if number is not None and not _is_whole(number, -MAX_PEOPLE, MAX_PEOPLE):  # CrowdConfig refuses what is below 1
             raise ValueError(f"number must be a whole number from 1 to {MAX_PEOPLE}, not {shown(number)}.")
         if number is None:
             number = config.number if layout.pedestrians is None else layout.pedestrians

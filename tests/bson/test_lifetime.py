@@ -115,7 +115,8 @@ def test_options_that_need_no_other_model_keep_the_world_and_few_decisions_are_c
 def test_a_models_structure_is_what_its_scene_has():
     base = TaskConfig(**SMALL)
     assert structure(base) == structure(base.replace(horizon=5, lcf=0.5, pedestrian_period=0.02))
-    for change in ({"num_pedestrians": 5}, {"obstacle_density": 0.5}, {"map_size": 21.0}, {"robot": {"half_width": 0.2}}):
+    changes = ({"num_pedestrians": 5}, {"obstacle_density": 0.5}, {"map_size": 21.0}, {"robot": {"half_width": 0.2}})
+    for change in changes:
         assert structure(base) != structure(base.replace(**change))
     model = build_spec(base.replace(obstacle_density=0.5), ()).compile()
     assert model.nmocap == World(base.replace(obstacle_density=0.5)).boxes.shape[1] > 4
@@ -453,6 +454,10 @@ def test_counts_of_people_and_worlds_are_bounded():
             BsonVectorEnv(number, **SMALL)
         with pytest.raises(ValueError, match="nworld"):
             World(TaskConfig(**SMALL), number)
+    parallel_env = pytest.importorskip("macid.parallel_env", reason="needs the extra 'pettingzoo'")
+    for number in (parallel_env.MAX_PEOPLE + 1, 10**400, 1.5, "two", 0):
+        with pytest.raises(ValueError, match="number must be a whole number|at least one person"):
+            parallel_env.CrowdParallelEnv(1, number=number)
 
 
 def test_options_whose_keys_are_no_names_are_refused():
