@@ -30,7 +30,6 @@ touch the hull. Where the model has MuJoCo's defaults, contacts and armature are
 import dataclasses
 import functools
 import hashlib
-import math
 import pathlib
 from typing import Annotated, Literal
 from xml.etree import ElementTree
