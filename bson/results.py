@@ -13,6 +13,7 @@ from macid.files import UsageError
 MOST_BYTES = 1 << 28  # an episode has some 1.5 kB, with --paired 3 kB
 MOST_EPISODES, MOST_CELLS = 100_000, 10_000
 _MOST_DEEP = 20  # lists and objects in each other; a configuration has some 5
+_MOST_KEY = 500  # characters
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
 _Word = Annotated[str, msgspec.Meta(max_length=500)]
@@ -57,7 +58,7 @@ class Results(msgspec.Struct):
     cells: Annotated[list[_Cell], msgspec.Meta(min_length=1, max_length=MOST_CELLS)]
     episodes: Annotated[list[_Episode], msgspec.Meta(min_length=1, max_length=MOST_EPISODES)]
     faults: list[_Fault] = []
-    overrides: dict[_Name, str] = {}
+    overrides: dict[_Name, _Word] = {}
     suite_digest: _Name | None = None
     task_digest: _Name | None = None
     track: list[_Name] | None = None
@@ -94,6 +95,8 @@ def _check_form(content, name):
             if not value.isprintable() and any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in value):
                 raise UsageError(f"{name}, key {shown(key)}: text of one line is wanted, not {shown(value)}.")
         elif isinstance(value, dict):
+            if long := [part for part in value if len(part) > _MOST_KEY]:
+                raise UsageError(f"{name}: the key {shown(long[0])} has more than {_MOST_KEY} characters.")
             waiting += [(key, each, depth + 1) for each in value]
             waiting += [(f"{key}.{part}" if key else part, each, depth + 1) for part, each in value.items()]
         elif isinstance(value, list):

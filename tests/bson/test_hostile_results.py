@@ -154,6 +154,7 @@ def changed(*path, value=None):
         (changed("suite", value=["paper"]), "suite"),
         (changed("track", value="local"), "track"),
         (changed("overrides", "horizon", value=30), "overrides"),
+        (changed("cells", 0, "config", value={"x" * 5000: 1}), "has more than 500 characters"),
         (changed("versions", value={"mujoco": 3}), "versions"),
     ],
 )
