@@ -24,7 +24,8 @@ from bson.metrics import measure, summarise
 from bson.resume import basis
 from bson.suites import load_suite
 from bson.tracks import make_track
-from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, check_words, name
+from macid import command
+from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, check_words
 from macid.evaluate import lcf_bins
 from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 
@@ -223,14 +224,14 @@ def main():
     parser.number("--steps", float, 1.0, MOST_STEPS, default=1e6, help="of each training (default 1e6)")
     parser.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
-    parser.add_argument("--ship", type=name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
-    parser.add_argument("--out", type=name, default="table3")
+    parser.add_argument("--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
+    parser.add_argument("--out", type=command.name, default="table3")
 
-    def command():
+    def read_and_run():
         check_words(sys.argv[1:])
         return run(parser.parse_args())
 
-    return run_command("reproduce_table3", command)
+    return run_command("reproduce_table3", read_and_run)
 
 
 if __name__ == "__main__":

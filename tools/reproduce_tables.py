@@ -17,7 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words, name
+from macid import command
+from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words
 from macid.crowd import CrowdConfig
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
@@ -351,7 +352,7 @@ def _table1(turned, policies, tabled):
 def main():
     """Entry point."""
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policies", type=name, default="assets/policies", help="folder with .npz and .json files")
+    parser.add_argument("--policies", type=command.name, default="assets/policies", help="folder with .npz and .json files")
     parser.number(
         "--seeds", int, 1, MOST_SEEDS, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
     )
@@ -367,13 +368,13 @@ def main():
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
-    parser.add_argument("--out", type=name, default="tables")
+    parser.add_argument("--out", type=command.name, default="tables")
 
-    def command():
+    def read_and_run():
         check_words(sys.argv[1:])
         return run(parser.parse_args())
 
-    return run_command("reproduce_tables", command)
+    return run_command("reproduce_tables", read_and_run)
 
 
 if __name__ == "__main__":
