@@ -358,7 +358,7 @@ def _bench(args):
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
     if args.out:
-        path = check_file(args.out)
+        path = check_file(args.out, "file for --out")
     if args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:

@@ -94,7 +94,7 @@ def test_an_agent_may_be_a_file_a_function_or_a_class(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("vhf", "Choose one of stop, random, goal, vfh"),
+        ("vhf", "Choose one of stop, random, goal, stop-and-go, vfh"),
         ("nowhere:agent", "can't import 'nowhere'"),
         ("missing.py", "no file 'missing.py'"),
         ("bson.agents.scripted:go", "no 'go' there.*goal"),

@@ -86,8 +86,8 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["evaluate", "--agent", "vhf"], "stop, random, goal, vfh"),
-        (["evaluate", "--suite", "papers"], "paper, scenarios, smoke, standard"),
+        (["evaluate", "--agent", "vhf"], "stop, random, goal, stop-and-go, vfh"),
+        (["evaluate", "--suite", "papers"], "paper, paper-slow, scenarios, smoke, standard"),
         (["evaluate", "--episodes", "0"], "1 to 100"),
         (["evaluate", "--seed", "-1"], "at least 0"),
         (["evaluate", "--videos", "-1"], "at least 0"),
@@ -99,7 +99,7 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
         (["evaluate", "--agent", "shape.py", "--episodes", "1", "--videos", "0"], "two numbers"),
         (["evaluate", "--out", "taken/run"], "taken/run"),
         (["render", "--out", "film.mp4"], ".webm"),
-        (["render", "--agent", "nobody"], "stop, random, goal, vfh"),
+        (["render", "--agent", "nobody"], "stop, random, goal, stop-and-go, vfh"),
         (["bench", "--pedestrian-model", "sfm"], "orca, social-force, social-force-bodies, social-force-progress"),
     ],
 )

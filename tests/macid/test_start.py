@@ -114,7 +114,7 @@ def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_n
 
 
 def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypatch):
-    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=PRESETS["fast"])  # 3 iterations
+    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=PRESETS["fast"]["ppo"])  # 3 iterations
     arrived, fetch = [], jax.device_get
 
     def interrupted(logs):
