@@ -391,8 +391,7 @@ def _list(args):
     print("pedestrians   " + ", ".join(model_names()))
     print("maps          " + ", ".join(map_names()) + ", or a .toml or .yaml file (--set map=NAME)")
     print("robots        " + ", ".join(robot_names()) + ", or a .toml file (--set robot=NAME)")
-    for name in suite_names():
-        suite = load_suite(name)
+    for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
         print(f"suite         {name}: {suite.description} ({count} seeds)")
     return 0

@@ -343,9 +343,9 @@ def _add_mounts(model, robot, base):
             )
             site.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     imu = {"accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER, "gyro": mujoco.mjtSensor.mjSENS_GYRO}
-    for kind, number in imu.items():
+    for kind, sensor in imu.items():
         if model.sensor(f"imu_{kind}") is None:
-            model.add_sensor(name=f"imu_{kind}", type=number, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
+            model.add_sensor(name=f"imu_{kind}", type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
     if model.camera("front") is None:
         site, turned = model.site("camera"), np.empty(4)
         mujoco.mju_mulQuat(turned, site.quat, _BACKWARDS_UP)

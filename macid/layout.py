@@ -15,6 +15,7 @@ from msgspec import Meta
 from macid import assets, geometry
 from macid.documents import number, read_document, shown_path
 from macid.files import UsageError
+from macid.routing import NoFreeSpace, refuse_blocked_routes
 from macid.state import RADIUS
 
 MAP_SIZE = 50.0  # side of the paper's maps [m]
@@ -30,10 +31,6 @@ _LEAST_HALF = 1e-4  # of a box that MuJoCo can touch [m]
 LEVELS = (1, 2, 3, 4)
 VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: settings are chosen on these
 OTHER_LEVELS = ("big-boxes", "small-boxes", "foyer", "crossroads", "furnished", "crowded")  # maps of other kinds
-
-
-class NoFreeSpace(ValueError):
-    """A map has no room for what was to be put on it, or no way to where it is to go."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,8 +73,6 @@ class Layout:
             routes.append(points)
         object.__setattr__(self, "routes", tuple(routes))
         if routes:
-            from macid.routing import refuse_blocked_routes
-
             refuse_blocked_routes(self)
 
     def _boxes(self, what, rows):

@@ -7,12 +7,15 @@ from scipy import sparse, spatial
 from scipy.sparse import csgraph
 
 from macid import geometry
-from macid.layout import NoFreeSpace
 from macid.state import RADIUS
 
 RESOLUTION = 0.5  # side of a grid cell [m]
 _DETOUR, _DETOUR_LENGTH = 1.3, 3.0  # a way is first looked for up to this share of the bee line and this length [m]
 _MARGIN = 0.1  # kept from obstacles beside the radius, where there is room [m]
+
+
+class NoFreeSpace(ValueError):
+    """A map has no room for what was to be put on it, or no way to where it is to go."""
 
 
 def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
