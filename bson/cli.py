@@ -393,7 +393,7 @@ def _list(args):
     print("robots        " + ", ".join(robot_names()) + ", or a .toml file (--set robot=NAME)")
     for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
-        print(f"suite         {name}: {suite.description} ({count} seeds)")
+        print(f"suite         {suite.name}: {suite.description} ({count} seeds)")
     return 0
 
 
