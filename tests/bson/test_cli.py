@@ -4,6 +4,7 @@ import types
 import pytest
 
 from bson import cli
+from bson.suites import suite_names
 from macid import drawing
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=40"]
@@ -127,6 +128,7 @@ def test_list_names_everything(capsys):
     out = capsys.readouterr().out
     for name in ("BSON/LocalLidar2D-v0", "vfh", "orca", "diffbot", "paper", "smoke"):
         assert name in out
+    assert all(f"suite         {name}: " in out for name in suite_names())
 
 
 def test_doctor_says_what_is_missing_and_how_to_mend_it(monkeypatch, capsys):
