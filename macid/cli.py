@@ -205,7 +205,7 @@ def parser():
     train.number(
         "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset paper: the paper's 50e6)"
     )
-    train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"], help="hyperparameters")
+    train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
@@ -215,7 +215,7 @@ def parser():
     bench.add_argument("--levels", type=_level, nargs="+", default=[1, 2, 3, 4])
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", default=[1, 4, 16, 64])
     bench.number("--seconds", float, 0.0, 1e6, above=True, default=3.0, help="a case")
-    bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-ppo"])
+    bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"])
     bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
     return root

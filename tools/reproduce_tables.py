@@ -63,7 +63,7 @@ PAPER_TABLE_1 = (
 def wanted(agent_steps, seeds=None):
     """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
-    others = [preset("paper-ppo", method="ipo")]
+    others = [preset(name, method="ipo") for name in ("paper-batch", "paper-ppo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
     papers = [preset("paper", method=method) for method in AS_GIVEN]  # to the paper's own budget

@@ -61,7 +61,8 @@ PRESETS = {
         "episode": 1,
         "agent_steps": 50_000_000,
     },
-    # What the paper gives for its PPO, a batch of 128 and 10 epochs, and its lambda; the rest as `fast`.
+    # Of these figures only the batch, the epochs and lambda; what the paper gives of them for PPO. The rest as `fast`.
+    "paper-batch": {"ppo": learning.PpoConfig()},
     "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
 

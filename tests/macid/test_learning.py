@@ -288,6 +288,8 @@ def test_the_papers_preset_is_the_papers():
     assert (paper.reward.distance, paper.reward.goal, paper.reward.collision) == (10.0, 1.0, 0.6)
     assert preset("paper", method="ipo").name == "ipo-paper" and preset("fast").name == "macid"
     assert (preset("paper-ppo").ppo.batch, preset("paper-ppo").ppo.epochs) == (128, 10)
+    assert (preset("paper-batch").ppo.batch, preset("paper-batch").ppo.epochs) == (2048, 5)
+    assert preset("paper-batch", method="ipo").name == "ipo-paper-batch"
     with pytest.raises(ValueError, match="fast, paper, paper-ppo"):
         preset("papers")
 
