@@ -108,13 +108,15 @@ def build_model(config: TaskConfig, sensors):
     return build_spec(config, sensors).compile()
 
 
-def _way(layout, router, person, place, goal):
-    """Waypoints (W, 2) [m] of `person` from `place` to `goal`, the goal last: along its route, if the map has routes, and
-    around obstacles, if there is a router. Raises NoFreeSpace."""
-    passed = stops(layout, person, place, goal)
-    if router is None:
-        return passed
-    return np.concatenate([router.path(*ends) for ends in zip([place, *passed[:-1]], passed, strict=True)])
+def _ways(layout, router, people, places, goals):
+    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last: along its route, if the
+    map has routes, and around obstacles, if there is a router. Raises NoFreeSpace."""
+    ways = [stops(layout, *each) for each in zip(people, places, goals, strict=True)]
+    if router is None or not ways:
+        return ways
+    starts = np.concatenate([[place, *way[:-1]] for place, way in zip(places, ways, strict=True)])
+    legs = iter(router.paths(starts, np.concatenate(ways)))
+    return [np.concatenate([next(legs) for _ in way]) for way in ways]
 
 
 @functools.lru_cache(64)
@@ -336,11 +338,7 @@ class World:
         drawn = []
         for rng in rngs:
             s = spawn(self.config, rng)
-            ways = [
-                _way(s.layout, s.router, person, *ends)
-                for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
-            ]
-            drawn.append((s, ways))
+            drawn.append((s, _ways(s.layout, s.router, range(len(s.people)), s.people[:, :2], s.people_goals)))
         with self.whole():
             self._begin(ids, seeds, rngs, drawn)
 
@@ -467,7 +465,7 @@ class World:
                 region = map_layout.regions.get("people_goal")
                 distance, joins = self.config.people_goal_distance, ways_checker(self.config, router)
                 goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
-            ways = [_way(map_layout, router, *each) for each in zip(who, places, goals, strict=True)]
+            ways = _ways(map_layout, router, who, places, goals)
         except layout.NoFreeSpace:
             return
         for person, way in zip(who, ways, strict=True):
