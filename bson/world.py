@@ -85,14 +85,17 @@ def _boxes(config):
     return boxes[: 4 + round(config.obstacle_density * (len(boxes) - 4))]
 
 
-def build_spec(config: TaskConfig, sensors):
-    """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
+def build_spec(config: TaskConfig, sensors, hidden=False):
+    """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors.
+    hidden: whether no sensor sees the robot (bson.robot.hide_robot)."""
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
     scene.add_boxes(spec, _boxes(config), movable=True)
-    robot.add_robot(spec, robot.describe(config.robot))
+    robot.add_robot(spec, robot.describe(config.robot), hidden=hidden)
     for sensor in sensors:
         sensor.mount(spec)
+    if hidden:
+        robot.hide_robot(spec)  # and what sensors have added to it
     return spec
 
 
@@ -172,9 +175,7 @@ class World:
             raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
         self.structure = structure(config)  #: of its model
         self.configure(config)
-        spec = build_spec(config, self.sensors)
-        robot.hide_robot(spec)
-        self.model = model = spec.compile()  # as it moves and is sensed
+        self.model = model = build_spec(config, self.sensors, hidden=True).compile()  # as it moves and is sensed
         self.batch = mujoco.batch.Batch(model, nworld, nthread)
         for name, field in _BOUND.items():
             setattr(self, name, self.batch.bind(field))
