@@ -67,22 +67,32 @@ def lines_are_free(start, goals, boxes, radius=RADIUS):
     Boxes grow by the radius on each side, which is a little strict at their corners. A box that `start` is closer to
     grows up to `start` only, so that it still bars the way through it, but not the way along it or away from it.
     """
-    starts, which = np.broadcast_to(start, goals.shape), np.arange(len(goals)).repeat(len(boxes))
-    return ~_barred(starts, goals, which, np.tile(boxes, (len(goals), 1)), radius)
+    return ~_barred(np.broadcast_to(start, goals.shape), goals, boxes, radius)
 
 
-def _barred(starts, goals, which, boxes, radius):
-    """Whether each of the lines from `starts` to `goals` (N, 2) is barred: (N,) bool, as `lines_are_free` says. Line
-    `which` (M,) is held against the boxes (M, 5)."""
+def _barred(starts, goals, boxes, radius):
+    """Whether each of the lines from `starts` to `goals` (N, 2) is barred by one of `boxes` (B, 5), as `lines_are_free` has
+    it: (N,) bool."""
+    barred, most = np.zeros(len(starts), bool), max(1, _MOST_CELLS // max(1, len(boxes)))
+    if len(starts) > most:
+        for begin in range(0, len(starts), most):
+            part = slice(begin, begin + most)
+            barred[part] = _barred(starts[part], goals[part], boxes, radius)
+        return barred
+    ahead, aside = np.abs(np.cos(boxes[:, 4])), np.abs(np.sin(boxes[:, 4]))
+    clear = np.zeros((len(starts), len(boxes)), bool)  # of boxes to one side of the whole line
+    for axis, (cos, sin) in enumerate(((ahead, aside), (aside, ahead))):
+        reach = cos * boxes[:, 2] + sin * boxes[:, 3] + 1.5 * radius + 1e-6
+        low, high = boxes[:, axis] - reach, boxes[:, axis] + reach
+        clear |= np.minimum(starts[:, axis], goals[:, axis])[:, None] > high
+        clear |= np.maximum(starts[:, axis], goals[:, axis])[:, None] < low
+    which, box = np.nonzero(~clear)
     step = goals - starts
     length = np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
-    start = starts[which]
-    beyond = (np.abs(geometry.in_box_frame(start, boxes[:, None])[:, 0]) - boxes[:, 2:4]).max(axis=-1)
-    grown = boxes.copy()
+    start, grown = starts[which], boxes[box]
+    beyond = (np.abs(geometry.in_box_frame(start, grown[:, None])[:, 0]) - grown[:, 2:4]).max(axis=-1)
     grown[:, 2:4] += np.clip(beyond - 1e-9, 0.0, radius)[:, None]
-    direction = (step / length[:, None])[which, None]
-    distance = geometry.ray_box_distance(start, direction, grown[:, None])[:, 0, 0]
-    barred = np.zeros(len(starts), bool)
+    distance = geometry.ray_box_distance(start, (step / length[:, None])[which, None], grown[:, None])[:, 0, 0]
     barred[which[~(distance >= length[which])]] = True
     return barred
 
@@ -196,9 +206,8 @@ class Router:
         """What `path` finds for each of `starts` (N, 2) and its of `goals` (N, 2): a list of N arrays. Quicker than one by
         one."""
         starts, goals = (np.reshape(np.asarray(ends, dtype=float), (-1, 2)) for ends in (starts, goals))
-        near = [np.arange(len(self._boxes))] * len(starts)
         ways = [goal[None] for goal in goals]
-        blocked = np.flatnonzero(self._barred(starts, ways, near, self.radius))
+        blocked = np.flatnonzero(_barred(starts, goals, self._boxes, self.radius))
         if not len(blocked):
             return ways
         firsts, lasts = self._tree.query(np.stack([starts[blocked], goals[blocked]]))[1]
@@ -228,13 +237,13 @@ class Router:
         """`ways`, arrays (W, 2) [m], from `starts` (N, 2), pulled straight: whoever goes walks straight to the farthest point
         that is seen before the first unseen one, and on from there."""
         corners, starts, ways = [[] for _ in ways], starts.copy(), list(ways)
+        wide = self.radius + _MARGIN / 2
         ahead = np.zeros(len(ways), int)  # points of a way that are known to be seen
-        near = [self._near(np.vstack([start, way])) for start, way in zip(starts, ways, strict=True)]
         going = [row for row, way in enumerate(ways) if len(way) > 1]
         while going:
             looked = [ways[row][ahead[row] : ahead[row] + _LOOK_AHEAD] for row in going]
-            barred = self._barred(starts[going], looked, [near[row] for row in going], self.radius + _MARGIN / 2)
             still, counts = [], [len(points) for points in looked]
+            barred = _barred(starts[going].repeat(counts, axis=0), np.concatenate(looked), self._boxes, wide)
             for row, hidden in zip(going, np.split(barred, np.cumsum(counts)[:-1]), strict=True):
                 way, any_hidden = ways[row], hidden.any()
                 ahead[row] += int(np.argmax(hidden)) if any_hidden else len(hidden)
@@ -246,24 +255,6 @@ class Router:
                     still.append(row)
             going = still
         return [np.array([*passed, *way]) for passed, way in zip(corners, ways, strict=True)]
-
-    def _near(self, points):
-        """The numbers of the boxes that may bar a line between any two of `points` (N, 2)."""
-        low, high = points.min(axis=0), points.max(axis=0)
-        reach = np.hypot(self._boxes[:, 2], self._boxes[:, 3])[:, None] + 2 * (self.radius + _MARGIN)
-        centres = self._boxes[:, :2]
-        return np.flatnonzero(((centres + reach >= low) & (centres - reach <= high)).all(axis=-1))
-
-    def _barred(self, starts, points, near, radius):
-        """Whether each line from `starts` (N, 2) to its `points`, arrays (W, 2), is barred by one of the boxes whose numbers
-        are `near`, arrays: (sum of W,) bool."""
-        counts = np.array([len(ends) for ends in points])
-        line, _ = _spread(counts)
-        boxes, first = np.concatenate(near), np.cumsum([0, *(len(numbers) for numbers in near)])
-        held = np.diff(first)[line]
-        which, place = _spread(held)
-        numbers = boxes[first[line[which]] + place]
-        return _barred(starts[line], np.concatenate(points), which, self._boxes[numbers], radius)
 
 
 def rest_of_route(route, place, end):
