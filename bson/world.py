@@ -157,9 +157,10 @@ class World:
     seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m];
     start_distance, distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps;
     arrived: bool; nearest_person: surface to surface [m];
-    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; people_goals (K, 2) [m]; lcf (K,), models (K,): which of the config's; and counts of
-    physics steps (0.02 s) in which the robot touched anything (collisions), a person, an obstacle, an outer wall; and,
-    of those with a person, in which it moved towards whom it touched at more than APPROACH (collisions_robot_on_person).
+    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; people_goals (K, 2) [m]; lcf (K,), models (K,): which of the
+    config's; and counts of physics steps (0.02 s) in which the robot touched anything (collisions), a person, an
+    obstacle, an outer wall; and, of those with a person, in which it moved towards whom it touched at more than APPROACH
+    (collisions_robot_on_person).
     fault: "", or what became infinite or not a number; such a world stays as it last was until its reset.
     """
 
