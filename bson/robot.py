@@ -183,12 +183,23 @@ class Robot:
         return self.left + self.right
 
 
-def add_robot(spec: mujoco.MjSpec, robot, name="robot") -> None:
+def add_robot(spec: mujoco.MjSpec, robot, name="robot", hidden=False) -> None:
     """Attach the Robot to the world of `spec`, under a free joint `name`; its elements are called `name/...`.
 
-    Joints and actuators of bodies that `spec` already has come before the robot's. Raises ValueError for a model that
-    lacks what the description names.
+    Joints and actuators of bodies that `spec` already has come before the robot's. hidden: as `hide_robot` leaves it.
+    Raises ValueError for a model that lacks what the description names.
     """
+    model = _prepared(robot, hidden).copy()
+    for part in ("option", "visual", "stat", "memory"):  # the scene's rule; MuJoCo would warn that they do
+        setattr(model, part, getattr(spec, part))
+    attached = spec.worldbody.add_frame().attach_body(model.body(robot.base), f"{name}/", "")
+    attached.add_freejoint(name=name)
+    _fit_hull(spec, attached, robot, name)
+
+
+@functools.lru_cache(8)  # reading a model takes as long as compiling it
+def _prepared(robot, hidden):
+    """The MjSpec of the Robot alone, ready to be attached. Raises ValueError."""
     model = _read_model(robot.model)
     base = model.body(robot.base)
     if base is None:
@@ -201,8 +212,6 @@ def add_robot(spec: mujoco.MjSpec, robot, name="robot") -> None:
             )
     for key in model.keys:
         model.delete(key)
-    for part in ("option", "visual", "stat", "memory"):  # the scene's rule; MuJoCo would warn that they do
-        setattr(model, part, getattr(spec, part))
     for joint in base.joints:
         if joint.type != mujoco.mjtJoint.mjJNT_FREE:
             raise ValueError(f"the base '{robot.base}' has the joint '{joint.name}', but must be free.")
@@ -210,15 +219,19 @@ def add_robot(spec: mujoco.MjSpec, robot, name="robot") -> None:
     _add_motors(model, robot, joints)
     _set_contacts(robot, base, joints)
     _add_mounts(model, robot, base)
-    attached = spec.worldbody.add_frame().attach_body(base, f"{name}/", "")
-    attached.add_freejoint(name=name)
-    _fit_hull(spec, attached, robot, name)
+    if hidden:
+        _hide(model, base)
+    return model
 
 
 def hide_robot(spec, name="robot"):
     """Takes from `spec` what of the robot can only be seen, and hides the rest of it from rays and cameras: no sensor
     sees the robot that carries it. Motion stays what it was, bit for bit."""
-    for geom in spec.joint(name).parent.find_all("geom"):
+    _hide(spec, spec.joint(name).parent)
+
+
+def _hide(spec, base):
+    for geom in base.find_all("geom"):
         weightless = geom.mass == 0 or geom.parent.explicitinertial
         if weightless and not _collides(geom):
             spec.delete(geom)

@@ -1,6 +1,7 @@
 """Episodes on worlds: actions in, observations, rewards and ends out. Every interface and the evaluation stand on this."""
 
 import contextlib
+import ctypes
 
 import gymnasium
 import numpy as np
@@ -29,6 +30,19 @@ INFO = (
     "fault",
 )
 
+_KEPT = 4  # worlds of a Session, of different structures
+_GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back costs time when it is asked for again
+
+
+def _give_back():
+    """Gives pages of freed memory back to the system, where the C library can (glibc). Physics of ever other sizes, tens of
+    megabytes each, would else be strewn over ever more of the heap."""
+    try:
+        trim = ctypes.CDLL(None).malloc_trim
+    except (OSError, TypeError, AttributeError):  # another C library
+        return
+    trim(0)
+
 
 class Session:
     """`nworld` worlds of one configuration and track, each in its own episode."""
@@ -37,7 +51,7 @@ class Session:
         """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come."""
         check_worlds("nworld", nworld)
         self.track, self.nworld, self._nthread = track, nworld, nthread
-        self._worlds = {}
+        self._worlds, self._replaced = {}, 0
         self.configure(config)
         self._streams = [None] * nworld
         self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
@@ -57,11 +71,14 @@ class Session:
         key = structure(config)
         world = self._worlds.pop(key, None)
         if world is None:
+            if len(self._worlds) >= _KEPT:
+                self._worlds.pop(next(iter(self._worlds)))
+                self._replaced += 1
+                if self._replaced % _GIVE_BACK_EVERY == 0:
+                    _give_back()
             world = World(config, self.nworld, self.track.sensors, self._nthread)
         elif world.config != config:
             world.configure(config)
-        while len(self._worlds) >= 4:
-            self._worlds.pop(next(iter(self._worlds)))
         self._worlds[key] = world
         self.config, self._world = config, world
 
@@ -80,9 +97,11 @@ class Session:
 
     def close(self):
         """Frees the worlds; closing twice does no harm."""
-        for world in (self._worlds or {}).values():
-            world.close()
+        worlds = list((self._worlds or {}).values())
         self._worlds = self._world = None
+        for world in worlds:
+            world.close()
+        _give_back()
 
     @contextlib.contextmanager
     def whole(self):

@@ -48,7 +48,7 @@ ROWS = (2, 4, 8, 16, 25, 32, 51, 64, 101, 128, 201, 256, 384, 512, 768, 1024, 15
 BOXES = (4, 16, 44, 85, 128, 192, 256)
 _BOX_STEP = 256  # of more boxes than that
 _COLUMNS = (2, 1, 2, 1, 2, 1, 1)  # of a decision's rows: position, yaw, velocity, yaw rate, goal, lcf, model
-_LISTS = ("layouts", "_routers", "_rngs", "_occupancy")
+_LISTS = ("layouts", "_routers", "_rngs", "_occupancy", "_unplanned")
 _BOUND = {  # what the next step depends on: attributes of a World, and fields of MuJoCo's
     "_qpos": "qpos",
     "_qvel": "qvel",
@@ -85,14 +85,17 @@ def _boxes(config):
     return boxes[: 4 + round(config.obstacle_density * (len(boxes) - 4))]
 
 
-def build_spec(config: TaskConfig, sensors):
-    """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors."""
+def build_spec(config: TaskConfig, sensors, hidden=False):
+    """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors.
+    hidden: whether no sensor sees the robot (bson.robot.hide_robot)."""
     spec = scene.base_spec(config.map_size)
     scene.add_people(spec, config.people)
     scene.add_boxes(spec, _boxes(config), movable=True)
-    robot.add_robot(spec, robot.describe(config.robot))
+    robot.add_robot(spec, robot.describe(config.robot), hidden=hidden)
     for sensor in sensors:
         sensor.mount(spec)
+    if hidden:
+        robot.hide_robot(spec)  # and what sensors have added to it
     return spec
 
 
@@ -108,13 +111,15 @@ def build_model(config: TaskConfig, sensors):
     return build_spec(config, sensors).compile()
 
 
-def _way(layout, router, person, place, goal):
-    """Waypoints (W, 2) [m] of `person` from `place` to `goal`, the goal last: along its route, if the map has routes, and
-    around obstacles, if there is a router. Raises NoFreeSpace."""
-    passed = stops(layout, person, place, goal)
-    if router is None:
-        return passed
-    return np.concatenate([router.path(*ends) for ends in zip([place, *passed[:-1]], passed, strict=True)])
+def _ways(layout, router, people, places, goals):
+    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last: along its route, if the
+    map has routes, and around obstacles, if there is a router. Raises NoFreeSpace."""
+    ways = [stops(layout, *each) for each in zip(people, places, goals, strict=True)]
+    if router is None or not ways:
+        return ways
+    starts = np.concatenate([[place, *way[:-1]] for place, way in zip(places, ways, strict=True)])
+    legs = iter(router.paths(starts, np.concatenate(ways)))
+    return [np.concatenate([next(legs) for _ in way]) for way in ways]
 
 
 @functools.lru_cache(64)
@@ -152,9 +157,10 @@ class World:
     seed: of the episode. pose (3,) x, y, yaw [m, rad] and velocity (2,) v, w [m/s, rad/s] of the robot; goal (2,) [m];
     start_distance, distance: from start and from here to the goal [m]; travelled [m]; time [s]; steps: control steps;
     arrived: bool; nearest_person: surface to surface [m];
-    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; lcf (K,), models (K,): which of the config's; and counts of
-    physics steps (0.02 s) in which the robot touched anything (collisions), a person, an obstacle, an outer wall; and,
-    of those with a person, in which it moved towards whom it touched at more than APPROACH (collisions_robot_on_person).
+    people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; people_goals (K, 2) [m]; lcf (K,), models (K,): which of the
+    config's; and counts of physics steps (0.02 s) in which the robot touched anything (collisions), a person, an
+    obstacle, an outer wall; and, of those with a person, in which it moved towards whom it touched at more than APPROACH
+    (collisions_robot_on_person).
     fault: "", or what became infinite or not a number; such a world stays as it last was until its reset.
     """
 
@@ -170,9 +176,7 @@ class World:
             raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
         self.structure = structure(config)  #: of its model
         self.configure(config)
-        spec = build_spec(config, self.sensors)
-        robot.hide_robot(spec)
-        self.model = model = spec.compile()  # as it moves and is sensed
+        self.model = model = build_spec(config, self.sensors, hidden=True).compile()  # as it moves and is sensed
         self.batch = mujoco.batch.Batch(model, nworld, nthread)
         for name, field in _BOUND.items():
             setattr(self, name, self.batch.bind(field))
@@ -192,8 +196,9 @@ class World:
         self.layouts = [None] * nworld
         self._occupancy = [None] * nworld
         self.boxes = np.zeros((nworld, model.nmocap, 5))
-        self.people_goals = np.zeros((nworld, k, 2))  # where each heads now: the next waypoint, or the goal
+        self._heading = np.zeros((nworld, k, 2))  # people_goals, once planned
         self._routes = [[] for _ in range(nworld)]  # for each person, the waypoints after that
+        self._unplanned = [None] * nworld  # people's starts and goals, until their ways are needed
         self._routers, self._rngs = [None] * nworld, [None] * nworld
         self.seed = np.zeros(nworld, np.int64)
         self.lcf, self.models = np.zeros((nworld, k)), np.zeros((nworld, k), int)
@@ -230,6 +235,7 @@ class World:
         """Worlds of their own that go on from where these are, equally."""
         self._check_open()
         nworld, sensors, nthread, with_robot = self._made
+        self._plan(range(nworld))
         made = World(self.config, nworld, sensors, nthread, with_robot)
         memo[id(self)] = made
         for name, value in vars(self).items():
@@ -322,8 +328,26 @@ class World:
             self._occupancy[index] = occupancy_grid(self.layouts[index], MAP_RESOLUTION, radius=0.0)
         return self._occupancy[index]
 
+    @property
+    def people_goals(self):
+        """(nworld, K, 2) where each of the people heads now: the next waypoint, or the goal [m]."""
+        self._plan(range(self.nworld))
+        return self._heading
+
+    def _plan(self, ids):
+        """Finds the ways of the people of the worlds `ids` whose episodes have just begun. That takes longer than all else
+        in a reset, so it waits until somebody walks or asks; on every map, spawn has seen to it that there are ways."""
+        for index in ids:
+            if self._unplanned[index] is not None:
+                starts, goals = self._unplanned[index]
+                ways = _ways(self.layouts[index], self._routers[index], range(len(starts)), starts, goals)
+                self._heading[index] = np.reshape([way[0] for way in ways], (-1, 2))
+                self._routes[index], self._unplanned[index] = [way[1:] for way in ways], None
+
     def destinations(self, index):
         """Where the people of a world go, at the end of their ways: (K, 2) [m]."""
+        if self._unplanned[index] is not None:
+            return self._unplanned[index][1].copy()
         ways = zip(self.people_goals[index], self._routes[index], strict=True)
         return np.reshape([route[-1] if len(route) else goal for goal, route in ways], (-1, 2))
 
@@ -333,22 +357,15 @@ class World:
         forks.refuse(self._process)
         ids = np.asarray(ids, dtype=int)
         rngs = [np.random.default_rng(int(seed)) for seed in seeds]
-        drawn = []
-        for rng in rngs:
-            s = spawn(self.config, rng)
-            ways = [
-                _way(s.layout, s.router, person, *ends)
-                for person, ends in enumerate(zip(s.people[:, :2], s.people_goals, strict=True))
-            ]
-            drawn.append((s, ways))
+        drawn = [spawn(self.config, rng) for rng in rngs]
         with self.whole():
             self._begin(ids, seeds, rngs, drawn)
 
     def _begin(self, ids, seeds, rngs, drawn):
-        """Begins the episodes that were drawn, a Spawn and people's ways of each of the worlds `ids`."""
+        """Begins the episodes that were drawn, a Spawn of each of the worlds `ids`."""
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         k = self.config.people
-        for index, seed, rng, (s, ways) in zip(ids, seeds, rngs, drawn, strict=True):
+        for index, seed, rng, s in zip(ids, seeds, rngs, drawn, strict=True):
             self.seed[index], self._rngs[index] = seed, rng
             self.layouts[index], self._routers[index], self._occupancy[index] = s.layout, s.router, None
             boxes = self.boxes[index] = s.layout.boxes
@@ -360,8 +377,7 @@ class World:
             self.goal[index], self.lcf[index], self.models[index] = s.goal, s.lcf, s.models
             self._packed[index, :k, 8], self._packed[index, :k, 9] = s.lcf, s.models
             self._packed_boxes[index, : len(boxes)] = boxes
-            self._routes[index] = [way[1:] for way in ways]
-            self.people_goals[index] = np.reshape([way[0] for way in ways], (-1, 2))
+            self._unplanned[index] = s.people[:, :2].copy(), s.people_goals
             self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
             for sensor, generators in zip(self.sensors, self._noise, strict=True):
                 generators[index] = sensor.generator(int(seed)) if sensor.noise else None
@@ -380,6 +396,7 @@ class World:
             self._step(ids, command)
 
     def _step(self, ids, command):
+        self._plan(ids)
         sound = self.fault[ids] == ""
         ids, command = np.asarray(ids, dtype=int)[sound], np.asarray(command)[sound]
         self._ctrl[ids[:, None], self._robot_ctrl] = robot.wheel_speeds(command, self.robot)
@@ -441,7 +458,7 @@ class World:
         packed = self._packed[ids]
         packed[:, :k, :3] = qpos[:, self._people].reshape(len(ids), k, 3)
         packed[:, :k, 3:6] = qvel[:, self._people].reshape(len(ids), k, 3)
-        packed[:, :k, 6:8] = self.people_goals[ids]
+        packed[:, :k, 6:8] = self._heading[ids]
         packed[:, k, :3] = robot.planar_pose(qpos[:, self._robot_qpos])
         packed[:, k, 3:5], packed[:, k, 5] = qvel[:, 3 * k : 3 * k + 2], qvel[:, 3 * k + 5]
         packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # where it wants to go, as far as people can tell
@@ -467,22 +484,22 @@ class World:
                 region = map_layout.regions.get("people_goal")
                 distance, joins = self.config.people_goal_distance, ways_checker(self.config, router)
                 goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
-            ways = [_way(map_layout, router, *each) for each in zip(who, places, goals, strict=True)]
+            ways = _ways(map_layout, router, who, places, goals)
         except layout.NoFreeSpace:
             return
         for person, way in zip(who, ways, strict=True):
-            self.people_goals[index, person], self._routes[index][person] = way[0], way[1:]
+            self._heading[index, person], self._routes[index][person] = way[0], way[1:]
 
     def _advance_people(self, ids):
         """People at their waypoint go on to the next, people at their goal to a new one."""
-        offset = self.people[ids, :, :2] - self.people_goals[ids]
+        offset = self.people[ids, :, :2] - self._heading[ids]
         there = np.argwhere((offset**2).sum(axis=-1) <= GOAL_RADIUS**2)
         finished = {}
         for row, person in there:
             index = ids[row]
             route = self._routes[index][person]
             if len(route):
-                self.people_goals[index, person], self._routes[index][person] = route[0], route[1:]
+                self._heading[index, person], self._routes[index][person] = route[0], route[1:]
             else:
                 finished.setdefault(index, []).append(person)
         for index, who in finished.items():

@@ -11,6 +11,9 @@ from macid.state import RADIUS
 
 RESOLUTION = 0.5  # side of a grid cell [m]
 _DETOUR, _DETOUR_LENGTH = 1.3, 3.0  # a way is first looked for up to this share of the bee line and this length [m]
+_MOST_CELLS = 200_000  # looked at in one go, for memory's sake
+_LOOK_AHEAD = 16  # points of a way that are looked at in one go
+_MOVES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # of cells, in the order of their numbers
 _MARGIN = 0.1  # kept from obstacles beside the radius, where there is room [m]
 
 
@@ -26,13 +29,39 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
     cells = max(1, round(layout.size / resolution))
     axis = (np.arange(cells) + 0.5) * resolution - layout.size / 2
     occupied = np.zeros((cells, cells), dtype=bool)
-    for box in layout.boxes:
-        ahead, aside = np.abs(np.cos(box[4])), np.abs(np.sin(box[4]))
-        reach = np.array([aside * box[2] + ahead * box[3], ahead * box[2] + aside * box[3]]) + radius + resolution  # y, x
-        (i, j), (to_i, to_j) = np.searchsorted(axis, [box[1::-1] - reach, box[1::-1] + reach])
-        centres = np.stack(np.meshgrid(axis[j:to_j], axis[i:to_i]), axis=-1)
-        occupied[i:to_i, j:to_j] |= geometry.point_box_distance(centres, box[None])[..., 0] <= radius
+    boxes = layout.boxes
+    ahead, aside = np.abs(np.cos(boxes[:, 4])), np.abs(np.sin(boxes[:, 4]))
+    reach = np.stack([aside * boxes[:, 2] + ahead * boxes[:, 3], ahead * boxes[:, 2] + aside * boxes[:, 3]], axis=-1)
+    reach += radius + resolution  # y, x
+    low, high = np.searchsorted(axis, boxes[:, 1::-1] - reach), np.searchsorted(axis, boxes[:, 1::-1] + reach)
+    sides = high - low
+    for part in _parts_of(sides.prod(axis=-1), _MOST_CELLS):
+        which, cell = _spread(sides[part].prod(axis=-1))
+        which += part.start
+        row, column = np.divmod(cell, np.maximum(sides[which, 1], 1))
+        row, column = row + low[which, 0], column + low[which, 1]
+        centres = np.stack([axis[column], axis[row]], axis=-1)
+        touched = geometry.point_box_distance(centres, boxes[which, None])[:, 0] <= radius
+        occupied[row[touched], column[touched]] = True
     return occupied
+
+
+def _spread(counts):
+    """For `counts` (N,), of things that each of N has: of each thing, whose it is and its number among those, from 0."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def _parts_of(counts, most):
+    """Slices that divide `counts` (N,) so that each has a sum of at most `most`, or one element."""
+    start, total = 0, 0
+    for end, count in enumerate(counts):
+        if end > start and total + count > most:
+            yield slice(start, end)
+            start, total = end, 0
+        total += count
+    if start < len(counts):
+        yield slice(start, len(counts))
 
 
 def lines_are_free(start, goals, boxes, radius=RADIUS):
@@ -41,13 +70,34 @@ def lines_are_free(start, goals, boxes, radius=RADIUS):
     Boxes grow by the radius on each side, which is a little strict at their corners. A box that `start` is closer to
     grows up to `start` only, so that it still bars the way through it, but not the way along it or away from it.
     """
-    step = goals - start
+    return ~_barred(np.broadcast_to(start, goals.shape), goals, boxes, radius)
+
+
+def _barred(starts, goals, boxes, radius):
+    """Whether each of the lines from `starts` to `goals` (N, 2) is barred by one of `boxes` (B, 5), as `lines_are_free` has
+    it: (N,) bool."""
+    barred, most = np.zeros(len(starts), bool), max(1, _MOST_CELLS // max(1, len(boxes)))
+    if len(starts) > most:
+        for begin in range(0, len(starts), most):
+            part = slice(begin, begin + most)
+            barred[part] = _barred(starts[part], goals[part], boxes, radius)
+        return barred
+    ahead, aside = np.abs(np.cos(boxes[:, 4])), np.abs(np.sin(boxes[:, 4]))
+    clear = np.zeros((len(starts), len(boxes)), bool)  # of boxes to one side of the whole line
+    for axis, (cos, sin) in enumerate(((ahead, aside), (aside, ahead))):
+        reach = cos * boxes[:, 2] + sin * boxes[:, 3] + 1.5 * radius + 1e-6
+        low, high = boxes[:, axis] - reach, boxes[:, axis] + reach
+        clear |= np.minimum(starts[:, axis], goals[:, axis])[:, None] > high
+        clear |= np.maximum(starts[:, axis], goals[:, axis])[:, None] < low
+    which, box = np.nonzero(~clear)
+    step = goals - starts
     length = np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
-    beyond = (np.abs(geometry.in_box_frame(start, boxes)) - boxes[:, 2:4]).max(axis=-1)
-    grown = boxes.copy()
+    start, grown = starts[which], boxes[box]
+    beyond = (np.abs(geometry.in_box_frame(start, grown[:, None])[:, 0]) - grown[:, 2:4]).max(axis=-1)
     grown[:, 2:4] += np.clip(beyond - 1e-9, 0.0, radius)[:, None]
-    distance = geometry.ray_box_distance(start, step / length[:, None], grown)
-    return (distance >= length[:, None]).all(axis=-1)
+    distance = geometry.ray_box_distance(start, (step / length[:, None])[which, None], grown[:, None])[:, 0, 0]
+    barred[which[~(distance >= length[which])]] = True
+    return barred
 
 
 def refuse_blocked_routes(layout):
@@ -110,39 +160,39 @@ class Router:
     def _grid(self):
         """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, to and fro, in metres."""
         occupied = occupancy_grid(self.layout, radius=self.radius + _MARGIN)
-        cells = len(occupied)
-        number = np.full(occupied.shape, -1)
-        rows, columns = np.nonzero(~occupied)
-        number[rows, columns] = np.arange(len(rows))
-        padded = np.pad(number, 1, constant_values=-1)
-        sources, targets, lengths = [], [], []
-        for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            neighbour = padded[1 + di : 1 + di + cells, 1 + dj : 1 + dj + cells]
-            joined = (number >= 0) & (neighbour >= 0)
-            if di and dj:  # no cutting of corners
-                joined &= (padded[1 + di : 1 + di + cells, 1:-1] >= 0) & (padded[1:-1, 1 + dj : 1 + dj + cells] >= 0)
-            sources.append(number[joined])
-            targets.append(neighbour[joined])
-            lengths.append(np.full(joined.sum(), RESOLUTION * np.hypot(di, dj)))
-        edges = (np.concatenate(lengths), (np.concatenate(sources), np.concatenate(targets)))
-        graph = sparse.coo_matrix(edges, shape=(len(rows),) * 2).tocsr()
-        graph = graph + graph.T
-        centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
-        if not len(centres):
+        if occupied.all():
             raise NoFreeSpace(f"Map '{self.layout.name}' has no free cell.")
+        rows, columns = np.nonzero(~occupied)
+        number = np.full(np.add(occupied.shape, 2), -1, np.int32)
+        number[rows + 1, columns + 1] = np.arange(len(rows))
+        neighbours = np.empty((len(rows), 8), np.int32)
+        for place, (di, dj) in enumerate(_MOVES):
+            neighbours[:, place] = number[rows + 1 + di, columns + 1 + dj]
+            if di and dj:  # no cutting of corners
+                cut = (number[rows + 1 + di, columns + 1] < 0) | (number[rows + 1, columns + 1 + dj] < 0)
+                neighbours[cut, place] = -1
+        joined = neighbours >= 0
+        ends = np.concatenate([[0], np.cumsum(joined.sum(axis=-1))]).astype(np.int32)
+        lengths = np.broadcast_to(RESOLUTION * np.hypot(*_MOVES.T), joined.shape)[joined]
+        graph = sparse.csr_matrix((lengths, neighbours[joined], ends), shape=(len(rows),) * 2)
+        centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
         return centres, graph
 
     @functools.cached_property
-    def _nearest(self):
-        """A tree of the free cells' centres, and the connected part of the map that each belongs to."""
-        centres, graph = self._grid
-        return spatial.cKDTree(centres), csgraph.connected_components(graph, directed=False)[1]
+    def _tree(self):
+        """A tree of the free cells' centres, which tells of a place the nearest."""
+        return spatial.cKDTree(self._grid[0])
+
+    @functools.cached_property
+    def _parts(self):
+        """The connected part of the map that each free cell belongs to: (N,)."""
+        return csgraph.connected_components(self._grid[1], directed=False)[1]
 
     def joins(self, starts, goals):
         """Whether there is a way from each of `starts` (N, 2) to its of `goals` (N, 2): (N,) bool. Where this holds, `path`
         finds one."""
         starts, goals = np.broadcast_arrays(np.asarray(starts, dtype=float), np.asarray(goals, dtype=float))
-        tree, parts = self._nearest
+        tree, parts = self._tree, self._parts
         joined = parts[tree.query(starts)[1]] == parts[tree.query(goals)[1]]
         for row in np.flatnonzero(~joined):
             joined[row] = lines_are_free(starts[row], goals[row, None], self._boxes, self.radius)[0]
@@ -153,11 +203,25 @@ class Router:
 
         Raises macid.layout.NoFreeSpace when the goal can't be reached.
         """
-        start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
-        if lines_are_free(start, goal[None], self._boxes, self.radius)[0]:
-            return goal[None]
+        return self.paths([start], [goal])[0]
+
+    def paths(self, starts, goals):
+        """What `path` finds for each of `starts` (N, 2) and its of `goals` (N, 2): a list of N arrays. Quicker than one by
+        one."""
+        starts, goals = (np.reshape(np.asarray(ends, dtype=float), (-1, 2)) for ends in (starts, goals))
+        ways = [goal[None] for goal in goals]
+        blocked = np.flatnonzero(_barred(starts, goals, self._boxes, self.radius))
+        if not len(blocked):
+            return ways
+        firsts, lasts = self._tree.query(np.stack([starts[blocked], goals[blocked]]))[1]
+        cells = [self._cells(*each) for each in zip(starts[blocked], goals[blocked], firsts, lasts, strict=True)]
+        for row, way in zip(blocked, self._pulled(starts[blocked], cells), strict=True):
+            ways[row] = way
+        return ways
+
+    def _cells(self, start, goal, first, last):
+        """The centres of the cells on a shortest way from the cell `first` to the cell `last`, then `goal`: (W, 2) [m]."""
         centres, graph = self._grid
-        first, last = self._nearest[0].query([start, goal])[1]
         for reach in (_DETOUR * np.hypot(*(goal - start)) + _DETOUR_LENGTH, np.inf):  # mostly the near part will do
             lengths, before = csgraph.dijkstra(graph, indices=last, return_predecessors=True, limit=reach)
             if np.isfinite(lengths[first]):
@@ -166,18 +230,34 @@ class Router:
             raise NoFreeSpace(
                 f"Map '{self.layout.name}': no way from {np.round(start, 2).tolist()} to {np.round(goal, 2).tolist()}."
             )
-        path = []
+        way = []
         while first != last:
-            path.append(centres[first])
+            way.append(first)
             first = before[first]
-        path = np.array([*path, centres[last], goal])
-        corners = []
-        while len(path) > 1:  # walk straight to the farthest point that is seen before the first unseen one
-            free = lines_are_free(start, path, self._boxes, self.radius + _MARGIN / 2)
-            seen = len(path) if free.all() else max(1, int(np.argmin(free)))
-            start, path = path[seen - 1], path[seen:]
-            corners.append(start)
-        return np.array([*corners, *path])
+        return np.vstack([centres[[*way, last]], goal])
+
+    def _pulled(self, starts, ways):
+        """`ways`, arrays (W, 2) [m], from `starts` (N, 2), pulled straight: whoever goes walks straight to the farthest point
+        that is seen before the first unseen one, and on from there."""
+        corners, starts, ways = [[] for _ in ways], starts.copy(), list(ways)
+        wide = self.radius + _MARGIN / 2
+        ahead = np.zeros(len(ways), int)  # points of a way that are known to be seen
+        going = [row for row, way in enumerate(ways) if len(way) > 1]
+        while going:
+            looked = [ways[row][ahead[row] : ahead[row] + _LOOK_AHEAD] for row in going]
+            still, counts = [], [len(points) for points in looked]
+            barred = _barred(starts[going].repeat(counts, axis=0), np.concatenate(looked), self._boxes, wide)
+            for row, hidden in zip(going, np.split(barred, np.cumsum(counts)[:-1]), strict=True):
+                way, any_hidden = ways[row], hidden.any()
+                ahead[row] += int(np.argmax(hidden)) if any_hidden else len(hidden)
+                if any_hidden or ahead[row] == len(way):
+                    seen = max(1, ahead[row])
+                    starts[row], ways[row], ahead[row] = way[seen - 1], way[seen:], 0
+                    corners[row].append(way[seen - 1])
+                if len(ways[row]) > 1:
+                    still.append(row)
+            going = still
+        return [np.array([*passed, *way]) for passed, way in zip(corners, ways, strict=True)]
 
 
 def rest_of_route(route, place, end):

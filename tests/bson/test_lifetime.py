@@ -1,6 +1,7 @@
 """What environments hold on to, give back, and hand on: resets with other options, threads, copies, forks, closing."""
 
 import copy
+import itertools
 import json
 import os
 import pickle
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 import warnings
+import weakref
 
 import gymnasium
 import numpy as np
@@ -15,7 +17,9 @@ import pytest
 
 import bson  # noqa: F401  (registers the environments)
 import bson.dm
+from bson import robot
 from bson.env import BsonEnv, BsonVectorEnv
+from bson.robot import robot_names
 from bson.sensors import Camera, Imu, Lidar2D, RgbCamera
 from bson.session import Session
 from bson.task import MAX_PEDESTRIANS, TaskConfig
@@ -140,6 +144,44 @@ def test_memory_stays_flat_over_resets_with_other_options():
     before = megabytes()
     play(60)
     assert megabytes() - before < 12.0
+
+
+def test_resets_with_other_options_let_go_of_what_they_replace():
+    env, rng, made = BsonEnv(**SMALL), np.random.default_rng(1), []
+    kept = len(env._session._worlds) + 4
+    robots = len(robot_names())
+    for _ in range(60):
+        people, density = int(rng.integers(0, 16)), float(rng.uniform())
+        env.reset(seed=int(rng.integers(99)), options={"num_pedestrians": people, "obstacle_density": density})
+        world = env.world
+        assert world.people_goals.shape == (1, people, 2)  # ways are found
+        made.append([weakref.ref(each) for each in (world, world.model, world.layouts[0], world._routers[0]) if each])
+    for alive in itertools.zip_longest(*made):  # without a garbage collection
+        assert len({id(ref()) for ref in alive if ref is not None and ref() is not None}) <= kept
+    assert robot._prepared.cache_info().currsize <= 2 * robots
+    env.close()
+    assert not any(ref() is not None for ref in made[0])
+
+
+@pytest.mark.parametrize("options", [{"obstacle_density": 0.8}, {"map": "hall"}, {"map": "office"}])
+def test_ways_are_the_same_whenever_they_are_asked_for(options):
+    config = TaskConfig(num_pedestrians=6).replace(**options)
+    first, second = World(config, 2), World(config, 2)
+    for world in (first, second):
+        world.reset([0, 1], [3, 4])
+    ends = second.destinations(0)
+    goals = first.people_goals.copy()
+    third = copy.deepcopy(second)
+    with pytest.raises(ValueError), second.whole():  # a step that fails takes the ways back
+        second._step([0, 1], np.zeros((2, 2)))
+        raise ValueError
+    for _ in range(5):
+        for world in (first, second, third):
+            world.step([0], [[0.0, 0.0]])
+    for world in (second, third):
+        assert np.array_equal(first.qpos, world.qpos) and np.array_equal(first.people_goals, world.people_goals)
+        assert np.array_equal(first.people_goals[1], goals[1])
+    assert np.array_equal(first.destinations(0), ends)
 
 
 def test_a_reset_that_fails_leaves_the_episode_as_it_was():
