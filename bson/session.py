@@ -35,8 +35,9 @@ _GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back cost
 
 
 def _give_back():
-    """Gives pages of freed memory back to the system, where the C library can (glibc). Physics of ever other sizes, tens of
-    megabytes each, would else be strewn over ever more of the heap."""
+    """Gives pages of freed memory back to the system, where the C library can (glibc).
+
+    Physics of ever other sizes, tens of megabytes each, would else be strewn over ever more of the heap."""
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (OSError, TypeError, AttributeError):  # another C library

@@ -112,8 +112,10 @@ def build_model(config: TaskConfig, sensors):
 
 
 def _ways(layout, router, people, places, goals):
-    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last: along its route, if the
-    map has routes, and around obstacles, if there is a router. Raises NoFreeSpace."""
+    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last.
+
+    They lead along the person's route, if the map has routes, and around obstacles, if there is a router. Raises
+    NoFreeSpace."""
     ways = [stops(layout, *each) for each in zip(people, places, goals, strict=True)]
     if router is None or not ways:
         return ways
@@ -159,8 +161,8 @@ class World:
     arrived: bool; nearest_person: surface to surface [m];
     people (K, 3) x, y, yaw; people_velocity (K, 2) [m/s]; people_goals (K, 2) [m]; lcf (K,), models (K,): which of the
     config's; and counts of physics steps (0.02 s) in which the robot touched anything (collisions), a person, an
-    obstacle, an outer wall; and, of those with a person, in which it moved towards whom it touched at more than APPROACH
-    (collisions_robot_on_person).
+    obstacle, an outer wall; and, of those with a person, in which it moved towards whom it touched at more than
+    APPROACH (collisions_robot_on_person).
     fault: "", or what became infinite or not a number; such a world stays as it last was until its reset.
     """
 
@@ -335,8 +337,10 @@ class World:
         return self._heading
 
     def _plan(self, ids):
-        """Finds the ways of the people of the worlds `ids` whose episodes have just begun. That takes longer than all else
-        in a reset, so it waits until somebody walks or asks; on every map, spawn has seen to it that there are ways."""
+        """Finds the ways of the people of the worlds `ids` whose episodes have just begun.
+
+        That takes longer than all else in a reset, so it waits until somebody walks or asks; on every map, spawn has
+        seen to it that there are ways."""
         for index in ids:
             if self._unplanned[index] is not None:
                 starts, goals = self._unplanned[index]

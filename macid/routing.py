@@ -47,7 +47,7 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
 
 
 def _spread(counts):
-    """For `counts` (N,), of things that each of N has: of each thing, whose it is and its number among those, from 0."""
+    """Of things of which N owners have `counts` (N,): whose each thing is, and its number among its owner's, from 0."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -74,8 +74,9 @@ def lines_are_free(start, goals, boxes, radius=RADIUS):
 
 
 def _barred(starts, goals, boxes, radius):
-    """Whether each of the lines from `starts` to `goals` (N, 2) is barred by one of `boxes` (B, 5), as `lines_are_free` has
-    it: (N,) bool."""
+    """Whether each of the lines from `starts` to `goals` (N, 2) is barred by one of `boxes` (B, 5): (N,) bool.
+
+    `lines_are_free` says what bars a line."""
     barred, most = np.zeros(len(starts), bool), max(1, _MOST_CELLS // max(1, len(boxes)))
     if len(starts) > most:
         for begin in range(0, len(starts), most):
@@ -206,8 +207,9 @@ class Router:
         return self.paths([start], [goal])[0]
 
     def paths(self, starts, goals):
-        """What `path` finds for each of `starts` (N, 2) and its of `goals` (N, 2): a list of N arrays. Quicker than one by
-        one."""
+        """What `path` finds for each of `starts` (N, 2) and its of `goals` (N, 2): a list of N arrays.
+
+        Quicker than one by one."""
         starts, goals = (np.reshape(np.asarray(ends, dtype=float), (-1, 2)) for ends in (starts, goals))
         ways = [goal[None] for goal in goals]
         blocked = np.flatnonzero(_barred(starts, goals, self._boxes, self.radius))
@@ -220,7 +222,7 @@ class Router:
         return ways
 
     def _cells(self, start, goal, first, last):
-        """The centres of the cells on a shortest way from the cell `first` to the cell `last`, then `goal`: (W, 2) [m]."""
+        """The centres of the cells on a shortest way from cell `first` to cell `last`, then `goal`: (W, 2) [m]."""
         centres, graph = self._grid
         for reach in (_DETOUR * np.hypot(*(goal - start)) + _DETOUR_LENGTH, np.inf):  # mostly the near part will do
             lengths, before = csgraph.dijkstra(graph, indices=last, return_predecessors=True, limit=reach)
@@ -237,8 +239,9 @@ class Router:
         return np.vstack([centres[[*way, last]], goal])
 
     def _pulled(self, starts, ways):
-        """`ways`, arrays (W, 2) [m], from `starts` (N, 2), pulled straight: whoever goes walks straight to the farthest point
-        that is seen before the first unseen one, and on from there."""
+        """`ways`, arrays (W, 2) [m], from `starts` (N, 2), pulled straight.
+
+        Whoever goes walks straight to the farthest point that is seen before the first unseen one, and on from there."""
         corners, starts, ways = [[] for _ in ways], starts.copy(), list(ways)
         wide = self.radius + _MARGIN / 2
         ahead = np.zeros(len(ways), int)  # points of a way that are known to be seen
