@@ -19,7 +19,7 @@ import numpy as np
 
 from bson.agents import load_agent
 from bson.evaluate import run_episodes
-from bson.learning.train import ALGORITHMS, TrainConfig, is_done, train_with_bar
+from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_with_bar
 from bson.metrics import measure, summarise
 from bson.resume import basis
 from bson.suites import load_suite
@@ -36,6 +36,8 @@ PAPER = {
     "tac": (65.14, 0.993, 8.47, 0.837, 0.942),
     "bc": (48.85, 0.992, 16.32, 0.569, 0.901),
 }
+PAPER["ppo-paper"] = PAPER["ppo"]
+ROBOTS = (*ALGORITHMS, "ppo-paper")  # the last with all that the paper gives
 CROWDS = ("social-force-progress", "orca", "ipo", "macid")  # of the carry-over table
 UNMET = "macid-touch"  # tested among, not trained among
 TABLES = ("table3", "lcf", "carry-over")
@@ -44,8 +46,11 @@ DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
 
 def wanted(algo, crowd, seed, steps, runs):
-    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed."""
-    config = TrainConfig(algo, seed, steps, {} if crowd == "macid" else {"pedestrian_model": crowd})
+    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper" behind
+    it for that preset."""
+    algo, _, preset = algo.partition("-")
+    task = {} if crowd == "macid" else {"pedestrian_model": crowd}
+    config = TrainConfig(algo, seed, steps, task, hyperparameters=PRESETS[preset or "fast"][algo])
     if algo != "bc":
         return config
     expert = wanted("ppo", crowd, seed, steps, runs)
@@ -216,7 +221,7 @@ def run(args):
 def main():
     """Entry point."""
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--algos", nargs="+", default=list(ALGORITHMS), choices=list(ALGORITHMS))
+    parser.add_argument("--algos", nargs="+", default=list(ROBOTS), choices=ROBOTS)
     parser.add_argument(
         "--carry", default="ppo", choices=list(ALGORITHMS), help="the algorithm of the carry-over table"
     )

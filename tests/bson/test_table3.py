@@ -11,6 +11,7 @@ pytest.importorskip("stable_baselines3")
 
 from bson.agents import learned
 from bson.features import FEATURES
+from bson.learning.train import PRESETS
 from bson.suites import load_suite
 from macid.learning.curves import plain
 from macid.policy import write_network
@@ -67,6 +68,12 @@ def test_bc_learns_from_the_ppo_of_its_seed_and_crowd(tmp_path):
     assert config.hyperparameters.expert == str(tmp_path / "ppo-orca-2" / "policy.npz")
     assert config.task == {"pedestrian_model": "orca"} and config.steps == 200
     assert table3.wanted("ppo", "macid", 0, 1000, tmp_path).task == {}
+
+
+def test_a_robot_of_the_papers_preset_has_its_hyperparameters(tmp_path):
+    config = table3.wanted("ppo-paper", "macid", 1, 1000, tmp_path)
+    assert config.name == "ppo-paper" and config.hyperparameters == PRESETS["paper"]["ppo"]
+    assert table3.wanted("ppo", "macid", 1, 1000, tmp_path).hyperparameters == PRESETS["fast"]["ppo"]
 
 
 def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
