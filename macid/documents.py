@@ -156,9 +156,14 @@ def parse(path, what, content, ending=None):
     raise UsageError(f"{what} {shown_path(path)} is not {language}: {problem}")
 
 
-def check_values(document, tell):
+def check_values(document, tell, described=lambda key: ""):
     """Refuses what no field has: numbers that are not finite or beyond MOST_NUMBER, text that no encoding has, keys that are
-    no text. tell(key, problem): raises the error."""
+    no text. tell(key, problem): raises the error. described(key): what a number has to be there, or ""."""
+
+    def refuse_number(key, wanted, found):
+        said = described(key)
+        tell(key, f"it must be {said}, not {found}" if said else f"{wanted} is wanted, not {found}")
+
     waiting = [("", document)]
     while waiting:
         key, value = waiting.pop()
@@ -170,9 +175,9 @@ def check_values(document, tell):
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{index}]", each) for index, each in enumerate(value)]
         elif isinstance(value, float) and not (math.isfinite(value) and abs(value) <= MOST_NUMBER):
-            tell(key, f"a number from -{MOST_NUMBER:g} to {MOST_NUMBER:g} is wanted, not {value:g}")
+            refuse_number(key, f"a number from -{MOST_NUMBER:g} to {MOST_NUMBER:g}", f"{value:g}")
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-            tell(key, "a whole number of 64 bits is wanted, not one beyond")
+            refuse_number(key, "a whole number of 64 bits", "one beyond")
         elif isinstance(value, str) and not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
             tell(key, f"text is wanted, not half a character: {shown(value)}")
 
@@ -187,7 +192,13 @@ def convert(document, schema, name):
         where = f", key {shown(key)}" if key else ""
         raise UsageError(f"{name}{where}: {problem}.")
 
-    check_values(document, tell)
+    def described(key):
+        try:
+            return _description(_place(document, schema, f"$.{key}")[2])
+        except (LookupError, TypeError):  # a key that the schema doesn't have
+            return ""
+
+    check_values(document, tell, described)
     try:
         return msgspec.convert(document, schema, strict=True)
     except msgspec.ValidationError as error:

@@ -564,5 +564,5 @@ def test_a_model_for_a_description_is_told_what_to_do(name, told):
 
 @pytest.mark.parametrize("changes", [{"wheel_radius": 1e-12}, {"track": 1e300}, {"max_yaw_rate": float("nan")}, {"half_width": 0}])
 def test_numbers_that_no_robot_has_are_refused_in_a_task_too(changes):
-    with pytest.raises(ValueError, match=f"{[*changes][0]}.* a number (above 0, )?from"):
+    with pytest.raises(ValueError, match=f"{[*changes][0]} must be a number above 0, from"):
         TaskConfig(robot=changes)
