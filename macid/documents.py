@@ -56,20 +56,34 @@ def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
 def read_bytes(path, what, most=MOST_BYTES):
     """The content of the file `path`, a `what` ("map") that a user named. Raises UsageError: no regular file, unreadable, or
     of more than `most` bytes."""
+    path = check_readable(path, what, most)
+    try:
+        with path.open("rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise _unreadable(path, what, error) from None
+
+
+def check_readable(path, what, most=MOST_BYTES):
+    """The pathlib.Path of the file `path`, of a `what` that a user named. Raises UsageError as read_bytes does, and reads nothing."""
     path = pathlib.Path(path)
     try:
         if not path.exists():
             raise UsageError(f"There is no {what} file {shown_path(path)}.")
         if not path.is_file():
             raise UsageError(f"{shown_path(path)} is no regular file, so no {what}.")
-        if (size := path.stat().st_size) > most:
-            raise UsageError(f"{what} {shown_path(path)} has {size:,} bytes; at most {most:,} are read.")
-        with path.open("rb") as file:
-            return file.read(most)
+        size = path.stat().st_size
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         if isinstance(error, UsageError):
             raise
-        raise UsageError(f"Can't read the {what} {shown_path(path)}: {getattr(error, 'strerror', error)}.") from None
+        raise _unreadable(path, what, error) from None
+    if size > most:
+        raise UsageError(f"{what} {shown_path(path)} has {size:,} bytes; at most {most:,} are read.")
+    return path
+
+
+def _unreadable(path, what, error):
+    return UsageError(f"Can't read the {what} {shown_path(path)}: {getattr(error, 'strerror', error)}.")
 
 
 def _twice(keys):
