@@ -334,7 +334,7 @@ def _train(args):
         args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
     )
     start.cleaning_up()
-    folder = train_with_bar(config, args.out, args.resume)
+    folder = train_with_bar(config, args.out, args.resume, args.tensorboard)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
     )
@@ -494,6 +494,7 @@ def parser():
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")

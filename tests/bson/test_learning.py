@@ -213,6 +213,24 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
         assert (tensor == restored.policy.state_dict()[name]).all(), name
 
 
+@pytest.mark.parametrize(("algo", "hyperparameters"), [("ppo", SMALL_PPO), ("sac", SMALL_SAC)])
+def test_tensorboard_shows_the_curve_the_validations_and_the_losses(algo, hyperparameters, tmp_path):
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    plain = train(config(algo, hyperparameters), tmp_path / "plain")
+    folder = train(config(algo, hyperparameters), tmp_path / "logged", tensorboard=True)
+    assert (folder / "policy.npz").read_bytes() == (plain / "policy.npz").read_bytes()
+    assert not (plain / "tensorboard").exists()
+    events = accumulator.EventAccumulator(str(folder / "tensorboard")).Reload()
+    found = {tag: [(one.step, one.value) for one in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    recipe = json.loads((folder / "policy.json").read_text())
+    for rows, prefix in ((recipe["curve"], ""), (recipe["validations"], "validation/")):
+        assert rows
+        for name in rows[0].keys() - {"steps"}:
+            expected = [(row["steps"], pytest.approx(row[name], abs=1e-4, rel=1e-5)) for row in rows]
+            assert found[prefix + name] == expected
+    assert any(tag.startswith("train/") and "loss" in tag for tag in found)
+
+
 def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
     scores = iter([10.0, 30.0, 20.0, 5.0])
 

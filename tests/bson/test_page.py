@@ -112,12 +112,18 @@ def test_names_are_text_in_a_comparison(content, check_page):
     assert hostile("agent") in format_comparison(compared)
 
 
-def test_captions_are_text():
-    figure = new_figure(figsize=(1, 1))
-    for content in (image(figure, hostile("caption")),):
-        read = _Read(content)
-        assert read.tags == {"figure", "img", "figcaption"} and read.attributes == {"alt", "src"}
-        assert read.text.count(hostile("caption")) == 2
+def test_captions_are_text(tmp_path):
+    read = _Read(image(new_figure(figsize=(1, 1)), hostile("caption")))
+    assert read.tags == {"figure", "img", "figcaption"}
+    assert read.attributes == {"alt", "src"}
+    assert read.text.count(hostile("caption")) == 2
+    path = tmp_path / f"{hostile('file').replace('/', ' ')}.webm"
+    path.write_bytes(b"123")
+    page = video(path, hostile("film"))
+    read = _Read(page)
+    assert "base64,MTIz" in page
+    assert read.tags == {"figure", "video", "figcaption"}
+    assert hostile("film") in read.text
 
 
 def test_names_are_text_in_a_leaderboard(content, tmp_path):
@@ -136,7 +142,9 @@ def test_names_are_text_in_a_leaderboard(content, tmp_path):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1), min_size=6, max_size=6))
+@given(
+    st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1), min_size=6, max_size=6)
+)
 def test_whatever_a_grade_is_called_it_is_read_as_it_is(names):
     heading, note, axis, other, *grades = names
     for scale in (Scale(0.0, 1.0), Scale(-1.0, 1.0)):
@@ -145,9 +153,3 @@ def test_whatever_a_grade_is_called_it_is_read_as_it_is(names):
             read = _Read(cell_maps(tiles, scale, heading, note))
             assert read.tags <= set("section header b small span i u em div table tr th td br h4".split())
             assert all(name in read.text for name in (heading, note, *grades, *(axes if len(axes) > 1 else ())))
-
-
-def test_a_film_without_a_name_of_its_own(tmp_path):
-    path = tmp_path / "film.webm"
-    path.write_bytes(b"123")
-    assert "base64,MTIz" in video(path, "seed 1")
