@@ -67,8 +67,8 @@ def check_comparable(runs):
         ours, theirs = (each.content.get("task_digest") for each in (first, run))
         if ours and theirs and ours != theirs:
             raise ValueError(
-                f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights changed "
-                "in between, under the same name. Evaluate again."
+                f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights "
+                "changed in between, under the same name. Evaluate again."
             )
 
 

@@ -1,4 +1,4 @@
-"""The leaderboard: results of `bson evaluate` as Markdown tables, sorted by SNS, one a suite; and its place in a README."""
+"""The leaderboard: results of `bson evaluate` as Markdown tables, one a suite, sorted by SNS, in a README or alone."""
 
 import shlex
 
@@ -41,7 +41,7 @@ def _plain(text):
 
 
 def _code(text):
-    """`text` as code in Markdown. What would end the code, or could be one of the marks BEGIN and END, is no text there."""
+    """`text` as code in Markdown, also where it has what would end the code, or one of the marks BEGIN and END."""
     return f"<code>{_plain(text)}</code>" if "`" in text or "<" in text else f"`{text}`"
 
 
@@ -93,7 +93,7 @@ def leaderboard(runs):
 
 
 def fill_readme(path, text):
-    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError without them."""
+    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError where they lack."""
     path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:
         content = read_bytes(path, "README", _MOST_BYTES).decode()

@@ -24,8 +24,9 @@ def plain(config):
 
 
 def completed(saved, config):
-    """A configuration that was `saved`, as `plain` has it, with the fields that it lacks, since they came later, at their
-    defaults. config: a configuration (a dataclass) of the kind."""
+    """A configuration that was `saved`, as `plain` has it; fields that it lacks, as they came later, at their defaults.
+
+    config: a configuration (a dataclass) of the kind."""
     whole = dict(saved)
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
