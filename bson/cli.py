@@ -280,7 +280,7 @@ def _leaderboard(args):
 
 def _render(args):
     from bson import film
-    from bson.agents import load_agent
+    from bson.agents import check_settings, load_agent
     from bson.evaluate import run_episodes
     from bson.task import TaskConfig
     from bson.tracks import make_track

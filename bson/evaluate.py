@@ -18,12 +18,13 @@ BATCH = 16  # worlds at once
 def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=None, batch=BATCH, nthread=0):
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
-    make_agent: gives a callable for one world, called with the Setting if it takes one (see bson.agents). progress: called after each control step of the batch
-    with (control steps done, Episode or None) for each episode that ended, and (steps, None) otherwise. An episode
-    does not depend on which others run beside it.
+    make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
+    progress: called after each control step of the batch with (control steps done, Episode or None) for each episode
+    that ended, and (steps, None) otherwise. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
-    agents = [made_for(make_agent, Setting.of(config, track)) for _ in range(nworld)]  # who refuses does so before anything
+    setting = Setting.of(config, track)
+    agents = [made_for(make_agent, setting) for _ in range(nworld)]  # one that refuses does so before anything runs
     session = Session(config, track, nworld, nthread=nthread)
     waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
     observations = {}

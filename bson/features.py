@@ -11,7 +11,7 @@ SECTORS = 36
 RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
 SCANS = (0, 2, 4)  # how many control steps ago the scans were that are seen
 FEATURES = 6 + len(SCANS) * SECTORS
-TOP = (2.0, 2.0)  # the Jackal's speed and yaw rate, in which motion is measured unless another robot is learned on [m/s, rad/s]
+TOP = (2.0, 2.0)  # the Jackal's top speed and yaw rate [m/s, rad/s]
 _GOAL_RANGE = 20.0  # [m]
 
 

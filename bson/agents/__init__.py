@@ -1,11 +1,12 @@
 """Agents: whatever turns an observation into an action.
 
 An agent is a function `agent(observation) -> action`, or a class whose objects are such functions. A class is
-instantiated once a world, with the Setting in which it is to drive (bson.agents.contract) if it takes one argument without
-a default, or one named `setting`; its `reset(seed)`, if it has one, is called when an episode begins, with the episode's
-seed. It may raise `Unsuited` where it can't drive in that setting. observation: the dict of one world (see
-bson.env.BsonEnv). action: (2,) in [-1, 1], numbers, an array, or a torch tensor, which is detached from its gradient and
-brought to the CPU.
+instantiated once a world. If its constructor has an argument `setting`, or one argument without a default, it is given
+the Setting in which the agent is to drive (bson.agents.contract), and may raise Unsuited where the agent can't. Its
+`reset(seed)`, if it has one, is called when an episode begins, with the episode's seed.
+
+observation: the dict of one world (see bson.env.BsonEnv). action: (2,) in [-1, 1], numbers, an array, or a torch
+tensor, which is detached from its gradient and brought to the CPU.
 """
 
 import importlib
@@ -82,8 +83,8 @@ def _help():
 
 
 def load_agent(name: str, untrained: bool = False) -> AgentFactory:
-    """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given), or
-    a trained one's file .npz.
+    """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given),
+    or a trained one's file .npz.
 
     Returns a factory: called with a Setting (without: the default one), it gives a callable for one world; its `track`
     and `sensor` name what the agent wants to be given (attributes of the agent; "local" and "lidar2d" without). The
@@ -155,7 +156,8 @@ class _Factory:
                 self.takes_setting = takes_setting(found)
             except TypeError as error:
                 raise AgentError(
-                    f"Agent '{name}': its class must be constructible without arguments, or with the Setting alone ({error})."
+                    f"Agent '{name}': its class must be constructible without arguments, or with the Setting alone "
+                    f"({error})."
                 ) from None
             if not self.takes_setting:  # it fails now, if it does
                 self._made.append(self())

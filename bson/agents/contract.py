@@ -55,7 +55,7 @@ class Setting:
     """What an agent drives in."""
 
     control_period: float  #: from one observation, and action, to the next [s]
-    robot: RobotConfig  #: limits [m/s], [rad/s], wheels and footprint [m]: an action is shares of max_speed and max_yaw_rate
+    robot: RobotConfig  #: limits, whose shares actions are [m/s], [rad/s], wheels and footprint [m]
     track: str  #: "local" or "global"
     sensors: tuple[Sensor, ...]  #: with their configurations: angles, ranges, places, noise, rates
     map: MapFrame
@@ -97,7 +97,7 @@ class Setting:
     def check_period(self, most: float) -> None:
         """Raises Unsuited where decisions are farther apart than `most` [s]."""
         if self.control_period > most + 1e-9:
-            raise Unsuited(f"has to decide every {most:g} s at least, not every {self.control_period:g} s (control_period).")
+            raise Unsuited(f"needs a control_period of at most {most:g} s, not {self.control_period:g} s.")
 
 
 class Agent(Protocol):
@@ -116,21 +116,25 @@ class AgentFactory(Protocol):
     sensor: Any  #: likewise, as make_track takes it
 
     def __call__(self, setting: Setting | None = None) -> Agent:
-        """An agent for one world of `setting`; None: the default one, of its track and sensor. Raises AgentError."""
+        """An agent for one world of `setting`; None: the default one, of its track and sensor.
+
+        Raises AgentError; of that, Unsuited where the agent refuses to drive there."""
         ...
 
 
 def takes_setting(kind: Callable) -> bool:
     """Whether `kind`, a class or a function that makes agents, is called with the Setting.
 
-    It is where it has an argument `setting`, or one argument without a default; not where it needs none. Raises TypeError
-    where it needs anything else.
+    It is where it has an argument `setting`, or one argument without a default; not where it needs none. Raises
+    TypeError where it needs anything else.
     """
     try:
         signature = inspect.signature(kind)
     except ValueError:  # a class of compiled code has none
         return False
-    if "setting" in signature.parameters:
+    named = signature.parameters.get("setting")
+    if named and named.kind is not named.POSITIONAL_ONLY:
+        signature.bind(setting=None)
         return True
     try:
         signature.bind()
@@ -151,8 +155,10 @@ def made_for(kind: Callable, setting: Setting) -> Agent:
 
 
 def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: LocalTrack) -> None:
-    """Makes an agent for each setting among the tasks `configs`, so that it refuses before anything runs. Raises what it
-    raises."""
+    """Makes an agent for each setting among the tasks `configs`, so that one that refuses does so before anything runs.
+
+    Raises AgentError, as `factory` does.
+    """
     if not getattr(factory, "takes_setting", True):
         return
     different = {(c.control_period, c.robot, c.map_size, c.horizon): c for c in configs}
@@ -162,7 +168,8 @@ def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: Loca
 
 @contextlib.contextmanager
 def its_code(name, doing):
-    """Runs code of the agent `name`. Raises AgentFailed, of one line: what it raised, and in which line of which file."""
+    """Runs code of the agent `name`. Raises AgentFailed, of one line: what the code raised, and in which line of which
+    file; Unsuited stays Unsuited."""
     try:
         yield
     except Unsuited as error:

@@ -75,8 +75,9 @@ class _Trained(msgspec.Struct):
 
 
 def setting_document(setting: Setting) -> dict:
-    """What a recipe notes as the "setting" in which a policy was trained, as JSON has it. Raises Unsuited where there is no
-    Lidar2D "lidar"."""
+    """What a recipe notes as the "setting" in which a policy was trained, as JSON has it.
+
+    Raises Unsuited where there is no Lidar2D "lidar"."""
     return {
         "control_period": setting.control_period,
         "robot": dataclasses.asdict(setting.robot),
@@ -95,8 +96,8 @@ def _lidar(setting):
 
 
 def _trained(recipe, path):
-    """The _Trained of a recipe. Those without a "setting" have the fields of TaskConfig that differed, as "task"; they were
-    trained with the default sensors. Raises UsageError."""
+    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its policy
+    was trained with the default sensors. Raises UsageError."""
     called = f"the policy's recipe '{path.with_suffix('.json')}'"
     if "setting" in recipe:
         trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")

@@ -16,8 +16,8 @@ class Scan:
     """The beams of the setting's Lidar2D (of several the one with the key "lidar", or else the first).
 
     angles: (beams,) rising [rad], counter-clockwise from the robot's x axis. directions: (beams, 2), unit vectors.
-    place: (2,) [m], where they begin. Robot frame. reach [m]: how far they see. every: control steps from one scan to the
-    next. Raises Unsuited where there is none, or none that is level.
+    place: (2,) [m], where they begin. Robot frame. reach [m]: how far they see. every: control steps from one scan to
+    the next. Raises Unsuited where there is none, or none that is level.
     """
 
     def __init__(self, setting: Setting):
@@ -33,7 +33,8 @@ class Scan:
                 raise Unsuited(f"needs a Lidar2D on the robot, which has no site '{lidar.site}'.")
             position, frame = pose[0], pose[1] @ frame
         if abs(frame[2, 2]) < math.cos(_LEVEL):
-            raise Unsuited(f"needs a level Lidar2D; '{lidar.key}' is {math.degrees(math.acos(abs(frame[2, 2]))):.0f} degrees off.")
+            off = math.degrees(math.acos(abs(frame[2, 2])))
+            raise Unsuited(f"needs a level Lidar2D; '{lidar.key}' is {off:.0f} degrees off.")
         self.key, self.place = lidar.key, np.array(position[:2], float)
         self.every = lidar.every(setting.control_period)
         self.reach = float(np.float32(lidar.range_max))  # as a miss reads
@@ -45,7 +46,7 @@ class Scan:
         self._step = lidar.field / (lidar.beams - 1)
 
     def read(self, observation):
-        """The distances (beams,) [m] of one world's observation, ordered as `angles`; at least FAR where nothing was met."""
+        """The distances (beams,) [m] of one world's observation, ordered as `angles`; at least FAR for a miss."""
         scan = np.asarray(observation[self.key], float)
         if self._overturned:
             scan = scan[::-1]

@@ -52,7 +52,7 @@ class Goal:
 
 
 class StopAndGo(Goal):
-    """Stands while anything is within 1.6 m in the 60 degrees ahead of the LIDAR; else drives as Goal does, at top speed."""
+    """Stands while anything is within 1.6 m in the 60 degrees ahead of the LIDAR; else drives as Goal, at top speed."""
 
     speed = 1.0
 
