@@ -73,10 +73,10 @@ class Dwa:
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
         robot, self.config, self._limit = setting.robot, config, setting.top
-        self._period, self._scan = setting.control_period, Scan(setting)
-        self._scan.every_step()
+        self._period, self._scan = setting.control_period, Scan(setting, config.longest_period)
         self._sector = self._scan.beams_in(math.radians(config.sector))
         self._half = np.array([robot.half_length, robot.half_width])  # of the footprint
+        self._reach = config.far + 2 * self._half[0] + (self._scan.period - self._period) * robot.max_speed
         self._acceleration = np.array([config.acceleration, config.yaw_acceleration]) * setting.built_for
         self._braking = np.array([config.braking, config.yaw_braking]) * setting.built_for
         self._slow = min(config.creep, robot.max_speed / 2)
@@ -87,11 +87,17 @@ class Dwa:
 
     def reset(self, seed=None):
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
+        self._steps, self._met = 0, np.zeros((0, 2))  # since the episode began; points (m, 2) [m] that were met
         self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
 
     def __call__(self, observation):
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
-        points = self._points(self._scan.read(observation))
+        if self._steps % self._scan.every == 0:
+            self._met = self._points(self._scan.read(observation))
+        else:
+            self._met = self._left_behind(self._met, velocity)
+        self._steps += 1
+        points = self._met
         bearing = math.atan2(goal[1], goal[0])
         speed, rate = self.window(velocity, bearing)
         clearance, admissible = self._clearance(speed, rate, points, np.hypot(*goal))
@@ -120,8 +126,15 @@ class Dwa:
     def _points(self, scan):
         """The nearest point (m, 2) [m] of each sector of the scan that is in reach, robot frame."""
         nearest = self._scan.nearest(scan, self._sector)
-        nearest = nearest[scan[nearest] < self.config.far + 2 * self._half[0]]
+        nearest = nearest[scan[nearest] < self._reach]
         return self._scan.points(scan, nearest)
+
+    def _left_behind(self, points, velocity):
+        """Where `points` (m, 2) [m] are, robot frame, after a control step at `velocity` (2,) (v, w)."""
+        way, turn = velocity * self._period
+        offset = points - way * np.array([math.cos(turn / 2), math.sin(turn / 2)])
+        c, s = math.cos(turn), math.sin(turn)
+        return offset @ np.array([[c, -s], [s, c]])
 
     def _clearance(self, speed, rate, points, distance):
         """Of the arcs of `speed` (n,) and `rate` (n,): the clearance (n,) in [0, 1], and whether it is admissible (n,).

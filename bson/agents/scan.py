@@ -17,10 +17,12 @@ class Scan:
 
     angles: (beams,) rising [rad], counter-clockwise from the robot's x axis. directions: (beams, 2), unit vectors.
     place: (2,) [m], where they begin. Robot frame. reach [m]: how far they see. every: control steps from one scan to
-    the next. Raises Unsuited where there is none, or none that is level.
+    the next, of which the episode's first observation has the first. period: that as a time [s].
+
+    Raises Unsuited where there is no such LIDAR, or none that is level, or scans are farther apart than `longest` [s].
     """
 
-    def __init__(self, setting: Setting):
+    def __init__(self, setting: Setting, longest: float = math.inf):
         found = [sensor for sensor in setting.sensors if isinstance(sensor, Lidar2D)]
         if not found:
             has = ", ".join(type(sensor).__name__ for sensor in setting.sensors) or "none"
@@ -37,6 +39,9 @@ class Scan:
             raise Unsuited(f"needs a level Lidar2D; '{lidar.key}' is {off:.0f} degrees off.")
         self.key, self.place = lidar.key, np.array(position[:2], float)
         self.every = lidar.every(setting.control_period)
+        self.period = self.every * setting.control_period
+        if self.period > longest + 1e-9:
+            raise Unsuited(f"needs a scan every {longest:g} s at least; '{lidar.key}' has a rate of {lidar.rate:g} Hz.")
         self.reach = float(np.float32(lidar.range_max))  # as a miss reads
         self._overturned = bool(frame[2, 2] < 0)
         self._centre, self._half_field = math.atan2(frame[1, 0], frame[0, 0]), lidar.field / 2
@@ -81,8 +86,3 @@ class Scan:
         last = len(self.angles) - 1
         share = (self.off_centre(angle) + self._half_field) / (2 * self._half_field)
         return np.clip(np.rint(share * last), 0, last).astype(int)
-
-    def every_step(self):
-        """Raises Unsuited where a scan stays for more than one control step."""
-        if self.every > 1:
-            raise Unsuited(f"needs a scan in every control step; '{self.key}' has one in {self.every} (its rate).")

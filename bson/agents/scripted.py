@@ -5,7 +5,7 @@ import numpy as np
 from bson.agents.contract import Setting, Unsuited
 from bson.agents.scan import Scan
 
-_NEAR = 1.6  # [m]
+_NEAR = 1.491  # from the robot's front, 1.6 m from the Jackal's LIDAR [m]
 _AHEAD = np.radians(30.0)  # to either side of what StopAndGo minds
 _TURN = 1.5  # share of the top yaw rate for each radian off the goal
 
@@ -52,7 +52,8 @@ class Goal:
 
 
 class StopAndGo(Goal):
-    """Stands while anything is within 1.6 m in the 60 degrees ahead of the LIDAR; else drives as Goal, at top speed."""
+    """Stands while anything is within 1.5 m of its front in the 60 degrees ahead of the LIDAR; else drives as Goal does,
+    at top speed."""
 
     speed = 1.0
 
@@ -60,11 +61,12 @@ class StopAndGo(Goal):
         setting = Setting.default() if setting is None else setting
         super().__init__(setting)
         self._scan = Scan(setting)
+        self._near = round(_NEAR + setting.robot.half_length - float(self._scan.place[0]), 3)  # from the LIDAR [m]
         self._ahead = np.abs(self._scan.angles) <= _AHEAD
         if not self._ahead.any():
             raise Unsuited(f"needs a Lidar2D that looks ahead; '{self._scan.key}' doesn't.")
 
     def __call__(self, observation):
         """The action (2,) for one world's observation."""
-        near = self._scan.read(observation)[self._ahead].min() < _NEAR
+        near = self._scan.read(observation)[self._ahead].min() < self._near
         return stop(observation) if near else super().__call__(observation)

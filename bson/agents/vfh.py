@@ -85,12 +85,11 @@ class Vfh:
         self.config, self._limit, self._period = config, setting.top, setting.control_period
         self.radius = round(setting.robot.radius, 2)  # of the disc around the footprint [m]
         self._clearance = self.radius + config.clearance
-        self._scan = Scan(setting)
-        self._scan.every_step()
+        self._scan = Scan(setting, config.longest_period)
         self._sector = self._scan.beams_in(math.radians(config.sector))
-        self._gain = 1.0 - (1.0 - config.velocity_gain) ** (self._period / 0.1)
-        self._match = max(config.least_match, config.match_distance + config.match_speed * self._period)
-        self._missing = setting.steps(config.missing)
+        self._gain = 1.0 - (1.0 - config.velocity_gain) ** (self._scan.period / 0.1)
+        self._match = max(config.least_match, config.match_distance + config.match_speed * self._scan.period)
+        self._missing = max(1, round(config.missing / self._scan.period))
         self._acceleration = config.acceleration * setting.built_for[0]
         self._turn_time = max(config.turn_time, 1.25 * self._period)
         self._prepare_motions()
@@ -99,6 +98,8 @@ class Vfh:
     def reset(self, seed=None):
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._yaw, self._goal, self._rate = 0.0, None, 0.0
+        self._steps, self._old = 0, 0  # since the episode began, and since the last scan
+        self._met = np.zeros((0, 2))  # that scan's walls
         self._position = np.zeros(2)  # of the robot, in a frame that has the goal at 0 and the first yaw
         self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
@@ -107,18 +108,30 @@ class Vfh:
 
     def __call__(self, observation):
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
-        scan = self._scan.read(observation)
         self._localise(goal, velocity)
-        centres, beams = self._find_people(scan)
-        self._track(centres @ self._rotation.T + self._position, scan)
-        walls = self._walls(scan, beams)
+        self._old = self._steps % self._scan.every
+        self._steps += 1
+        if self._old:
+            walls = (self._met - self._position) @ self._rotation
+        else:
+            walls = self._look(self._scan.read(observation))
         target = self._steer(goal, walls)
         return self._move(target, velocity, walls)
 
     @property
     def people(self):
         """Positions and velocities (n, 2) of the people believed in, robot frame's axes [m, m/s]."""
-        return (self._seen_at - self._position) @ self._rotation, self._seen_velocity @ self._rotation
+        places = self._seen_at + self._old * self._period * self._seen_velocity if self._old else self._seen_at
+        return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation
+
+    def _look(self, scan):
+        """Updates the people believed in by a new `scan` (beams,) [m]; the walls (sectors, 2) [m], robot frame."""
+        centres, beams = self._find_people(scan)
+        self._track(centres @ self._rotation.T + self._position, scan)
+        walls = self._walls(scan, beams)
+        if self._scan.every > 1:
+            self._met = walls @ self._rotation.T + self._position
+        return walls
 
     # --- where the robot is
 
@@ -191,17 +204,17 @@ class Vfh:
     def _track(self, seen, scan):
         """Matches the people `seen` (n, 2), goal-bound frame, with those believed in, and updates these."""
         c = self.config
-        expected = self._seen_at + self._seen_velocity * self._period
+        expected = self._seen_at + self._seen_velocity * self._scan.period
         old, new = _match(expected, seen, self._match)
         sightings = self._sightings[old] + 1
-        measured = (seen[new] - self._seen_at[old]) / self._period
+        measured = (seen[new] - self._seen_at[old]) / self._scan.period
         gain = np.maximum(1.0 / np.maximum(sightings - 1, 1), self._gain)[:, None]
         gain = np.where(self._unseen[old, None] > 0, 0.0, gain)
         velocity = self._seen_velocity[old] + gain * (measured - self._seen_velocity[old])
 
         lost = np.ones(len(expected), bool)
         lost[old] = False
-        lost &= self._unseen * self._period < c.memory
+        lost &= self._unseen * self._scan.period < c.memory
         lost &= self._hidden(expected, scan) | (self._unseen < self._missing)
         fresh = np.ones(len(seen), bool)
         fresh[new] = False

@@ -88,8 +88,12 @@ def scan_of(person, sensor, place):
 
 
 @pytest.mark.parametrize("robot", ["jackal", "diffbot"])
+@pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("period", PERIODS)
-def test_a_person_who_walks_at_130_is_predicted_at_130(period, robot):
+def test_a_person_who_walks_at_130_is_predicted_at_130(period, every, robot):
+    """every: control steps from one scan to the next."""
+    if every * period > 0.5:
+        pytest.skip("too slow for anybody")
     view = GlobalView(setting("global", control_period=period, pedestrian_period=0.02))
     seen = {"map": np.zeros((8, 8)), "map_resolution": [0.25], "map_origin": np.array([-1.0, -1.0])}
     seen |= {"pose": np.zeros(3), "goal": np.array([5.0, 0.0])}
@@ -97,20 +101,34 @@ def test_a_person_who_walks_at_130_is_predicted_at_130(period, robot):
         view.see({**seen, "people": np.array([[4.0, 1.30 * step * period - 2.0]], np.float32)})
     np.testing.assert_allclose(view.people_velocity, [[0.0, 1.30]], atol=1e-4)
 
-    its = setting(robot=robot, control_period=period, pedestrian_period=0.02)
-    agent, (lidar,) = Vfh(its), [sensor for sensor in its.sensors if isinstance(sensor, Lidar2D)]
+    lidar = Lidar2D(rate=1 / (every * period))
+    its = setting(robot=robot, control_period=period, pedestrian_period=0.02, sensor=(lidar,))
+    agent = Vfh(its)
     for step in range(round(1.6 / period)):
         person = np.array([3.0, 1.30 * step * period - 1.0])
-        agent(
-            {
-                "goal": np.array([9.0, 0.0]),
-                "velocity": np.zeros(2),
-                "lidar": scan_of(person, lidar, Scan(its).place),
-            }
-        )
+        if step % every == 0:
+            scan = scan_of(person, lidar, Scan(its).place)
+        agent({"goal": np.array([9.0, 0.0]), "velocity": np.zeros(2), "lidar": scan})
     ((place,), (velocity,)) = agent.people
     np.testing.assert_allclose(place, person, atol=0.03)
     np.testing.assert_allclose(velocity, [0.0, 1.30], atol=0.13)
+
+
+def test_between_two_scans_what_stood_is_where_it_stands():
+    """Robots that see every fourth control step steer by the same points as those that see each."""
+    config = TaskConfig(**EMPTY | {"obstacle_density": 1.0})
+    tracks = [make_track("local", (Imu(), Lidar2D(rate=rate))) for rate in (None, 2.5)]
+    sessions = [Session(config, track, seeds=[0]) for track in tracks]
+    agents = [load_agent("dwa")(Setting.of(config, track)) for track in tracks]
+    observations = [session.reset([0], [5]) for session in sessions]
+    for _ in range(12):
+        for agent, seen in zip(agents, observations, strict=True):
+            agent({name: value[0] for name, value in seen.items()})
+        one, other = (agent._met for agent in agents)
+        near = np.hypot(*one.T) < 1.5
+        apart = np.hypot(*(one[near, None] - other).transpose(2, 0, 1)).min(axis=1)
+        assert near.any() and np.median(apart) < 0.03 and apart.max() < 0.25  # other beams meet it now
+        observations = [session.step([0], np.array([[0.3, 0.4]]))[0] for session in sessions]
 
 
 # --- LIDARs
@@ -118,6 +136,7 @@ def test_a_person_who_walks_at_130_is_predicted_at_130(period, robot):
 OTHER_LIDARS = {
     "181 beams": Lidar2D(beams=181, field=math.pi, range_max=8.0),
     "all around": Lidar2D(beams=1001, field=2 * math.pi, yaw=math.pi),
+    "slow": Lidar2D(rate=2.5),
     "short": Lidar2D(beams=300, field=4.0, range_max=4.0, position=(0.05, -0.1, 0.35), yaw=0.2),
 }
 
@@ -152,7 +171,7 @@ def test_reactive_agents_take_other_lidars(name, lidar):
     [
         ("vfh", {"sensor": "lidar3d"}, "Agent 'vfh' needs a Lidar2D; the sensors are: Imu, Lidar3D"),
         ("dwa", {"sensor": (Lidar2D(pitch=0.4),)}, "needs a level Lidar2D; 'lidar' is 23 degrees off"),
-        ("vfh", {"sensor": (Lidar2D(rate=5.0),)}, "needs a scan in every control step; 'lidar' has one in 2"),
+        ("vfh", {"sensor": (Lidar2D(rate=1.0),)}, "needs a scan every 0.5 s at least; 'lidar' has a rate of 1 Hz"),
         ("stop-and-go", {"sensor": (Lidar2D(field=2.0, yaw=math.pi),)}, "needs a Lidar2D that looks ahead"),
         ("vfh", {"control_period": 1.0}, "needs a control_period of at most 0.5 s, not 1 s"),
         ("astar", {}, "Agent 'astar' needs the map and people's places: choose --track global"),
