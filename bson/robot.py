@@ -597,6 +597,21 @@ def _refuse_odd_bodies(model):
             raise ValueError(f"its {what} must be numbers of at most 1e6, not {most:.3g}.")
 
 
+@functools.lru_cache(64)
+def site_pose(robot, site):
+    """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
+    spec = base_spec(20.0)
+    add_robot(spec, robot)
+    model = spec.compile()
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"robot/{site}")
+    if number < 0:
+        return None
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    mujoco.mj_kinematics(model, data)
+    return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
+
+
 JACKAL = load_robot("jackal")
 
 
