@@ -171,7 +171,7 @@ def _films(played, cells, track, folder, number, name):
 
     from bson import film
     from bson.metrics import sns
-    from bson.world import build_model
+    from bson.simulation.scene import build_model
     from macid import drawing
 
     if number == 0:
@@ -282,9 +282,9 @@ def _render(args):
     from bson import film
     from bson.agents import check_settings, load_agent
     from bson.evaluate import run_episodes
+    from bson.simulation.scene import build_model
     from bson.task import TaskConfig
     from bson.tracks import make_track
-    from bson.world import build_model
     from macid import drawing
 
     config = TaskConfig().replace(**_overrides(args.set))

@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from bson.agents.contract import Setting, act, made_for, reset_agent
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
 from bson.metrics import METRICS, measure, summarise
-from bson.session import Recorder, Session
-from bson.world import World
+from bson.simulation.world import World
 from macid import files
 
 BATCH = 16  # worlds at once

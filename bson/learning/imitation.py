@@ -6,10 +6,11 @@ import numpy as np
 import torch
 
 from bson.agents.contract import Setting, made_for
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
 from bson.metrics import sns
-from bson.session import Recorder, Session
 
 
 @dataclasses.dataclass(frozen=True)
