@@ -16,7 +16,7 @@ from bson.evaluate import run_episodes
 from bson.features import FEATURES, motion
 from bson.robot import JACKAL
 from bson.sensors import Imu, Lidar2D
-from bson.session import Session
+from bson.episodes.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import geometry
