@@ -9,6 +9,7 @@ import ctypes
 import dataclasses
 import functools
 import pathlib
+import re
 import shutil
 from xml.etree import ElementTree
 
@@ -27,6 +28,7 @@ START = "start"  # the keyframe in each file
 ASSETS = "assets"  # the folder beside the files, for meshes and textures
 PACKAGES = ("bson-macid", "mujoco")  # whose versions a folder notes
 _DIGITS = 17  # that tell a float64 from all others
+_NUMBER = re.compile(r"-?\d+\.\d+(e[-+]\d+)?")
 _KINDS = (  # of elements whose values may be a class's
     *("bodies", "joints", "geoms", "sites", "cameras", "lights", "materials", "meshes", "textures"),
     *("actuators", "tendons", "equalities", "pairs"),
@@ -81,6 +83,8 @@ def differences(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
 def _all_digits():
     """Within, MuJoCo writes numbers whole; it writes six digits otherwise, and offers no other way to say so."""
     library = ctypes.CDLL(mujoco._functions.__file__)
+    if not hasattr(library, "_mjPRIVATE__set_xml_precision"):
+        raise UsageError(f"MuJoCo {mujoco.__version__} can't write a scene whole: use 3.17.")
     before = library._mjPRIVATE__get_xml_precision()
     library._mjPRIVATE__set_xml_precision(_DIGITS)
     try:
@@ -91,12 +95,7 @@ def _all_digits():
 
 def _shortest(word):
     """`word`, or the fewest digits that are the same number, if it is one of many digits."""
-    if len(word) < _DIGITS:
-        return word
-    try:
-        return repr(float(word))
-    except ValueError:
-        return word
+    return repr(float(word)) if len(word) >= _DIGITS and _NUMBER.fullmatch(word) else word
 
 
 def _copied(spec, element, value, sources, folder):
@@ -165,7 +164,7 @@ Written by `{command}`; `episode.json` tells of it all. Lengths in metres, angle
 - `scene.xml`: as the project simulates it.
 - `view.xml`: as it looks, for the viewer, from the episode's start: `python -m mujoco.viewer --mjcf=view.xml`.
 
-Each has the keyframe `start`. People are cylinders of radius {radius} m and height {height} m on velocity actuators. They touch each
+Each has the keyframe `start` and loads in MJX. People are cylinders of radius {radius} m and height {height} m on velocity actuators. They touch each
 other, walls and obstacles through a hidden sphere.
 
 ```python
@@ -188,11 +187,12 @@ Until the next decision, {period} s later, `ctrl` stays as it is: `mujoco.mj_ste
 """
 
 
-def export(layout: Layout, out, config=CrowdConfig(), seed=0, command="macid.export.export") -> pathlib.Path:
-    """Writes the crowd of `config` on `layout`, as `seed` draws its episode, to the folder `out`: scene.xml, view.xml,
-    episode.json, README.md. Returns the folder.
+def export(layout: Layout, out, config=CrowdConfig(), seed=0, command="macid.export.export()") -> pathlib.Path:
+    """Writes the crowd of `config` on `layout`, as `seed` draws its episode, to the folder `out`, which is new or empty:
+    scene.xml, view.xml, episode.json, README.md. Returns the folder.
 
-    seed: of a numpy Generator: a number, or several. Raises UsageError, NoFreeSpace.
+    seed: of a numpy Generator: a number, or several. command: that made it, for people to read. Raises UsageError,
+    NoFreeSpace.
     """
     with whole_folder(out) as folder:
         crowd = Crowd(layout, config)
@@ -208,7 +208,7 @@ def export(layout: Layout, out, config=CrowdConfig(), seed=0, command="macid.exp
         content = {
             "command": command,
             "versions": versions(*PACKAGES),
-            "seed": seed,
+            "seed": np.asarray(seed).tolist(),
             "config": dataclasses.asdict(config),
             "map": {"name": layout.name, "size": layout.size},
             "physics_step": PHYSICS_STEP,
@@ -218,7 +218,7 @@ def export(layout: Layout, out, config=CrowdConfig(), seed=0, command="macid.exp
             "boxes": box_notes(layout.boxes),
         }
         text = _README.format(
-            title=f"{config.number} people on the map '{layout.name}', seed {seed}",
+            title=f"{config.number} people on the map '{layout.name}', seed {np.ravel(seed)[0]}",
             command=command,
             radius=RADIUS,
             height=HEIGHT,

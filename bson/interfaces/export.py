@@ -8,7 +8,7 @@ import numpy as np
 
 from bson import robot
 from bson.task import TaskConfig
-from bson.tracks import GlobalTrack, LocalTrack, sensor_settings
+from bson.tracks import GlobalTrack, LocalTrack, sensor_documents
 from bson.world import MAP_RESOLUTION, World, build_spec
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
@@ -19,7 +19,7 @@ _FRICTIONLESS = 1e-5  # the least sliding friction that MuJoCo takes
 _ROBOT = "robot"  # as bson.robot.add_robot names it
 
 
-def export(config: TaskConfig, track: LocalTrack, seed: int, out, command="bson.interfaces.export.export") -> pathlib.Path:
+def export(config: TaskConfig, track: LocalTrack, seed: int, out, command="bson.interfaces.export.export()") -> pathlib.Path:
     """Writes the episode `seed` of `config`, with the sensors of `track`, to the folder `out`, which is new or empty:
 
     scene.xml as it moves and is sensed, with a rangefinder for each beam of the LIDARs; scene_mjx.xml for MJX on JAX;
@@ -62,7 +62,7 @@ def _write(folder, world, track, seed, command):
         "versions": versions(*PACKAGES),
         "seed": seed,
         "config": dataclasses.asdict(config),
-        "sensors": sensor_settings(track.sensors),
+        "sensors": sensor_documents(track.sensors),
         "physics_step": PHYSICS_STEP,
         "steps_per_decision": config.substeps,
         "decisions_per_control": config.decisions,
