@@ -46,7 +46,7 @@ from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
 MOUNTS = ("lidar", "lidar3d", "camera", "imu")  # that every robot has
-MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.world) [m/s]
+MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.simulation.world) [m/s]
 MAX_RADIUS = 0.8  # so that a robot begins clear of obstacles (bson.task) [m]
 _TYRE = {"friction": [0.8, 0.005, 0.0001], "solref": [0.15, 0.3], "solimp": [0.7, 0.7, 0.001, 0.5, 2.0]}
 _HULL_CONTACT = (0, BIT_SOLID | BIT_FLOOR)  # contype, conaffinity
@@ -597,6 +597,21 @@ def _refuse_odd_bodies(model):
             raise ValueError(f"its {what} must be numbers of at most 1e6, not {most:.3g}.")
 
 
+@functools.lru_cache(64)
+def site_pose(robot, site):
+    """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
+    spec = base_spec(20.0)
+    add_robot(spec, robot)
+    model = spec.compile()
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"robot/{site}")
+    if number < 0:
+        return None
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    mujoco.mj_kinematics(model, data)
+    return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
+
+
 JACKAL = load_robot("jackal")
 
 
@@ -616,6 +631,11 @@ def wheel_actuators(model, robot=JACKAL, name="robot"):
     """Which entries (W,) of the MjModel's ctrl are the Robot's wheels, ordered as its `wheels`."""
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
+
+
+def wheel_dofs(model, robot, name="robot"):
+    """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
+    return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 
 
 def planar_pose(qpos):

@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
+from bson.agents.contract import Setting
 from bson.evaluate import run_episodes, sound, versions
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
@@ -134,7 +135,8 @@ class _Keeper:
                 raise KeyboardInterrupt
 
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
-        agent, config = functools.partial(learned.Learned, layers, output), self.config
+        config = self.config
+        agent = functools.partial(learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist()))
         episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
@@ -161,6 +163,7 @@ class _Keeper:
             "steps_done": steps,
             "seconds": round(self.seconds, 1),
             "output": best["output"],
+            "setting": learned.setting_document(Setting.of(self.config.setting, _TRACK)),
             "from_steps": best["steps"],
             "validation": best["validation"],
             "validations": self.validations,

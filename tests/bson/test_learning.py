@@ -12,7 +12,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3")
 
 import gymnasium
 
-from bson.agents import learned
+from bson.agents import Setting, learned
 from bson.env import BsonEnv
 from bson.features import FEATURES, Features
 from bson.learning import train as train_module
@@ -21,6 +21,8 @@ from bson.learning.imitation import BcConfig, clone, select
 from bson.learning.train import PRESETS, TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
+from bson.task import TaskConfig
+from bson.tracks import make_track
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
 
@@ -393,3 +395,17 @@ def test_training_leaves_torchs_threads_as_they_were():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
+
+
+def test_what_was_trained_on_another_robot_tells_so_and_sees_shares_of_its_speeds(tmp_path):
+    task = {**TASK, "robot": "diffbot", "control_period": 0.2}
+    folder = train(dataclasses.replace(config("ppo", SMALL_PPO, steps=64), task=task), tmp_path)
+    factory = learned.load(str(folder / "policy.npz"))
+    agent = factory(Setting.of(TaskConfig(robot="diffbot", control_period=0.2), make_track("local", "lidar2d")))
+    assert agent.top == (1.0, 2.0)
+    with pytest.raises(ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"):
+        factory(Setting.default())
+    seen, _ = BsonEnv(**task).reset(seed=0)
+    seen["velocity"] = np.array([0.5, 1.0], np.float32)
+    worlds = FeatureVecEnv(1, seed=0, **task)
+    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [0.5, 0.5]
