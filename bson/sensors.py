@@ -145,13 +145,18 @@ class Mounted(Sensor):
         for name in ("yaw", "pitch"):
             self._check(name, _number(-math.pi, math.pi), "an angle in [-pi, pi] rad")
 
+    @property
+    def turn(self):
+        """The rotation (3, 3) of the sensor's frame in that of its place: `yaw` and `pitch`."""
+        sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
+        return np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
+
     def _place(self, spec, robot):
         """The body that carries the sensor, the place there (3,) [m], and the rotation (3, 3) of its frame."""
         site = spec.site(f"{robot}/{self.site}")
         if self.position is None and site is None:
             raise ValueError(f"The robot has no site '{self.site}' for its '{self.key}': give the sensor a position.")
-        sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
-        frame = np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
+        frame = self.turn
         if self.position is None:
             turned = np.empty(9)
             mujoco.mju_quat2Mat(turned, site.quat)
