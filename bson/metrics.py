@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from macid import geometry
-from macid.crowd import STALLED
-from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
+from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, STALLED
 
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]

@@ -28,6 +28,7 @@ from macid.documents import shown
 from macid.maps import load_map
 from macid.routing import occupancy_grid
 from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState, parking_place
+from macid.threads import physics_threads
 
 APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
 MAP_RESOLUTION = 0.25  # of the occupancy map [m]
@@ -179,7 +180,7 @@ class World:
         self.structure = structure(config)  #: of its model
         self.configure(config)
         self.model = model = build_spec(config, self.sensors, hidden=True).compile()  # as it moves and is sensed
-        self.batch = mujoco.batch.Batch(model, nworld, nthread)
+        self.batch = mujoco.batch.Batch(model, nworld, nthread or physics_threads())
         for name, field in _BOUND.items():
             setattr(self, name, self.batch.bind(field))
         self._last_qpos = self._qpos.copy()  # as last sensed

@@ -63,11 +63,13 @@ def _help():
 
 def load_agent(name):
     """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given), or
-    a trained one's file .npz.
+    a trained one's file .npz; or the agent itself, a function or a class.
 
     Returns a factory: called without arguments, it gives a callable for one world; its `track` and `sensor` name what the
     agent wants to be given (attributes of the agent; "local" and "lidar2d" without). Raises AgentError.
     """
+    if not isinstance(name, str):
+        return _factory(name, agent_label(name))
     if name in BUILT_IN:
         return _factory(_from_module(*BUILT_IN[name].split(":"), name), name)
     if name in learned.names() or name.endswith(".npz"):
@@ -78,6 +80,14 @@ def load_agent(name):
     if not attribute:
         raise AgentError(f"Unknown agent '{name}'. {_help()}")
     return _factory(_from_module(module, attribute, name), name)
+
+
+def agent_label(agent):
+    """What tables call an agent: its name, of a function or a class module:name, or what it is of."""
+    if isinstance(agent, str):
+        return agent
+    kind = agent if hasattr(agent, "__qualname__") else type(agent)
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 @contextlib.contextmanager
