@@ -1,12 +1,13 @@
-"""The benchmark for Python: what the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` do, as calls.
+"""The benchmark for Python: what the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` do, as
+calls.
 
     from bson import benchmark
 
     results = benchmark.evaluate(agent, "smoke", out="results/mine")
     results.metrics["SNS"]  # (episodes,), see bson.results.Results
 
-Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. What is heavy is loaded when it
-is needed: comparing results loads neither JAX nor MuJoCo.
+Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. What is heavy is loaded
+when it is needed: comparing results loads neither JAX nor MuJoCo.
 """
 
 import contextlib
@@ -55,16 +56,17 @@ def evaluate(
 ) -> Results:
     """Scores an agent on a suite, as `bson evaluate` does; returns the Results.
 
-    agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class (see
-    bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written. episodes:
-    only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind. track, sensor: as of
-    bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that are changed. paired: also plays
-    each episode without the robot. videos: how many films. resume: goes on with what was cut short in `out`. executor,
-    ray_address, workers: see macid.executors.make_executor. command: what `results.json` says that it was made by. told: called
-    with the Results once these are written, before anything is filmed. quiet: no progress on stderr.
+    agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
+    (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
+    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
+    track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
+    are changed. paired: also plays each episode without the robot. videos: how many films. resume: goes on with what
+    was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. command: what
+    `results.json` says that it was made by. told: called with the Results once these are written, before anything is
+    filmed. quiet: no progress on stderr.
 
-    Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another ValueError, of
-    one line, before anything is written where the request can't be met.
+    Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another
+    ValueError, of one line, before anything is written where the request can't be met.
     """
     from bson.agents import agent_label, load_agent
     from bson.evaluate import results, sound
@@ -251,7 +253,8 @@ def _loaded(results):
 
 
 def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.Path | None = None) -> dict[str, Any]:
-    """Results beside each other, with paired differences from the first, as `bson compare` does: the content of compare.json.
+    """Results beside each other, with paired differences from the first, as `bson compare` does: the content of
+    compare.json.
 
     results: Results, or folders that an evaluation wrote, or their results.json. out: folder for compare.json and
     compare.html; None: nothing is written. Raises ValueError where they can't be compared.
@@ -272,8 +275,8 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
 def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 
-    results: as of `compare`. readme: a file into which it is also put, between its marks. Raises ValueError where results of a
-    suite are not of the same episodes.
+    results: as of `compare`. readme: a file into which it is also put, between its marks. Raises ValueError where
+    results of a suite are not of the same episodes.
     """
     from bson.leaderboard import fill_readme, leaderboard
 
@@ -318,7 +321,10 @@ def film(
         raise UsageError(f"No pictures here: {problem}")
     _check_spawn(config, [seed])
     with _bar(name, False, quiet, None, False, 1, 0) as bar:
-        progress = lambda steps, episode: bar(steps, episode is not None)
+
+        def progress(steps, episode):
+            bar(steps, episode is not None)
+
         (episode,) = run_episodes(make_agent, config, seen, [seed], name, progress)
     if episode.fault:
         raise UsageError(f"Physics failed in the episode of seed {seed}: {episode.fault}. Choose another --seed.")
@@ -359,10 +365,11 @@ def train(
     ray_address: str | None = None,
     workers: int | None = None,
 ) -> list[pathlib.Path]:
-    """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds` - 1.
+    """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
+    - 1.
 
-    algo, preset: of bson.learning.train.ALGORITHMS and PRESETS. steps: of all worlds. worlds: at once. overrides: fields of
-    TaskConfig that are changed. resume: goes on from checkpoints. executor, ray_address, workers: see
+    algo, preset: of bson.learning.train.ALGORITHMS and PRESETS. steps: of all worlds. worlds: at once. overrides:
+    fields of TaskConfig that are changed. resume: goes on from checkpoints. executor, ray_address, workers: see
     macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises UsageError, also where the extra
     `agents` is missing.
     """

@@ -1,9 +1,7 @@
 """The `bson` command."""
 
 import ast
-import contextlib
 import dataclasses
-import functools
 import pathlib
 import shlex
 import sys
@@ -25,14 +23,9 @@ from macid.files import (
     HelpFormatter,
     UsageError,
     check_file,
-    check_folder,
-    lock_folder,
     new_folder,
-    output_folder,
-    remove_leftovers,
     run_command,
     start_mujoco,
-    write_bytes,
     write_json,
 )
 

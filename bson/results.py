@@ -1,5 +1,5 @@
-"""results.json: as Python has it (Results), and as it is read back: bounded, checked against one schema, and consistent in
-itself. Neither JAX nor MuJoCo is loaded for it."""
+"""results.json: as Python has it (Results), and as it is read back: bounded, checked against one schema, and consistent
+in itself. Neither JAX nor MuJoCo is loaded for it."""
 
 import collections
 import dataclasses
@@ -142,14 +142,15 @@ class Results:
 
     @functools.cached_property
     def metrics(self) -> dict[str, np.ndarray]:
-        """{metric: (E,) float64, its value in each episode}, in the units of bson.metrics.METRICS; infinity where there is no
-        such thing, as a distance to people where there are none. Without those that an older file lacks."""
+        """{metric: (E,) float64, its value in each episode}, in the units of bson.metrics.METRICS; infinity where there
+        is no such thing, as a distance to people where there are none. Without those that an older file lacks."""
         rows = self.content["episodes"]
         names = [metric.name for metric in METRICS if all(metric.name in row for row in rows)]
         return {name: np.array([_value(row[name]) for row in rows], dtype=float) for name in names}
 
     def by_cell(self, metric: str) -> dict[str, np.ndarray]:
-        """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it hasn't."""
+        """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it
+        hasn't."""
         return {name: self.metrics[metric][self.cell == name] for name in self.cells}
 
 

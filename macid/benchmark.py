@@ -28,9 +28,10 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """A pedestrian model on levels (Table II), as `macid evaluate` does: rows of macid.evaluate.evaluate_level.
 
-    pedestrian: a rule, a shipped policy, or a policy file (.npz). period: between decisions [s] (default: the policy's own).
-    lcf: range of LCFs (default: Table II's). bins: one row for each of Table I's six sections of the LCFs instead. out: a JSON
-    file for the rows; None: nothing is written. show: called with a line as a level begins. Raises UsageError.
+    pedestrian: a rule, a shipped policy, or a policy file (.npz). period: between decisions [s] (default: the policy's
+    own). lcf: range of LCFs (default: Table II's). bins: one row for each of Table I's six sections of the LCFs
+    instead. out: a JSON file for the rows; None: nothing is written. show: called with a line as a level begins. Raises
+    UsageError.
     """
     from macid import evaluate as scoring
     from macid.crowd import CrowdConfig
@@ -72,9 +73,9 @@ def watch(
 ) -> pathlib.Path:
     """Films a crowd, as `macid watch` does; returns the path.
 
-    out: a .webm film, or a .png picture of the time `at` [s] (default: halfway). seconds: of the crowd's time. speed: how many
-    times as fast a film plays. follow: through whose eyes to look (default: one with far to go). scale: of the picture, 1 is
-    1500 x 760. quiet: no progress on stderr. The rest as of `evaluate`. Raises UsageError.
+    out: a .webm film, or a .png picture of the time `at` [s] (default: halfway). seconds: of the crowd's time. speed:
+    how many times as fast a film plays. follow: through whose eyes to look (default: one with far to go). scale: of the
+    picture, 1 is 1500 x 760. quiet: no progress on stderr. The rest as of `evaluate`. Raises UsageError.
     """
     from tqdm import tqdm
 
@@ -133,13 +134,13 @@ def train(
     show: Callable[[str], None] = print,
     **fields: Any,
 ) -> list[pathlib.Path]:
-    """Trains pedestrians, as `macid train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds` - 1,
-    each with policy.npz, policy.json and curve.csv.
+    """Trains pedestrians, as `macid train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` +
+    `seeds` - 1, each with policy.npz, policy.json and curve.csv.
 
-    preset, fields: see macid.learning.train.preset; `nworld`, `agent_steps`, `level`, `engine`, `period` are such fields. resume:
-    goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor. In this process all seeds are
-    trained at once, and sums are rounded otherwise than alone; elsewhere each is trained as if alone. show: called with lines on
-    the progress. Raises UsageError or another ValueError of one line.
+    preset, fields: see macid.learning.train.preset; `nworld`, `agent_steps`, `level`, `engine`, `period` are such
+    fields. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor. In this
+    process all seeds are trained at once, and sums are rounded otherwise than alone; elsewhere each is trained as if
+    alone. show: called with lines on the progress. Raises UsageError or another ValueError of one line.
     """
     from macid.learning import train as training
     from macid.learning.jobs import folder_of

@@ -1,8 +1,8 @@
 """Jobs on the machines of a Ray cluster (extra `ray`): the executor `ray`, and what runs in its workers.
 
 A job is one task of one core. What it sends comes back at once, as bytes, so a worker that is killed costs what was not
-sent yet: the job is begun anew with what is left. Workers have the environment that results depend on, and refuse to work
-with another version of this project, MuJoCo, JAX or NumPy.
+sent yet: the job is begun anew with what is left. Workers have the environment that results depend on, and refuse to
+work with another version of this project, MuJoCo, JAX or NumPy.
 """
 
 import collections
@@ -28,6 +28,10 @@ from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"
+_RAY = {  # the environment of Ray: it tells nobody of its use, and its workers' priority is this process's, not a lower one
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",
+}
 _ANSWER = 3.0  # within which a cluster's address has to answer [s]
 _LOSSES = 3  # of a job's workers, one after the other, of which none sent anything
 _STORE = 1 << 28  # bytes of the object store of a cluster of this machine alone
@@ -37,12 +41,14 @@ _SETTINGS = 4  # the kind of the frame with which it is answered
 
 
 class Cluster:
-    """Runs jobs on a Ray cluster, see macid.executors.Executor: one that is there, or one of this machine alone, which goes
-    again."""
+    """Runs jobs on a Ray cluster, see macid.executors.Executor: one that is there, or one of this machine alone, which
+    goes again."""
 
     def __init__(self, address: str | None = None, workers: int | None = None):
-        """address, workers: as of macid.executors.make_executor. Raises UsageError where Ray is missing or nobody answers."""
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        """address, workers: as of macid.executors.make_executor. Raises UsageError where Ray is missing or nobody
+        answers."""
+        for name, value in _RAY.items():
+            os.environ.setdefault(name, value)
         try:
             import ray
         except ImportError as error:
@@ -73,8 +79,8 @@ class Cluster:
                 self.__exit__()
                 told = " ".join(str(error).split())[:400]
                 raise UsageError(
-                    f"Can't work on the Ray cluster '{self.address}': {told.rstrip('.')}. This machine has to be one of it: "
-                    "ray start --address HOST:PORT."
+                    f"Can't work on the Ray cluster '{self.address}': {told.rstrip('.')}. This machine has to be one of "
+                    "it: ray start --address HOST:PORT."
                 ) from None
             except BaseException:
                 self.__exit__()
@@ -150,7 +156,8 @@ def _checked(address):
         return address
     if address.startswith("ray://"):
         raise UsageError(
-            f"--ray-address {address}: Ray's client is not used. Run this on a machine of the cluster, with --ray-address auto."
+            f"--ray-address {address}: Ray's client is not used. Run this on a machine of the cluster, with --ray-address "
+            "auto."
         )
     where = _of_this_machine() if address == "auto" else address
     if where is None:
@@ -173,7 +180,8 @@ def _checked(address):
     except (OSError, UnicodeError) as error:
         problem = getattr(error, "strerror", None) or str(error)
     raise UsageError(
-        f"No Ray cluster answers at '{where}' ({problem}). Begin one there: ray start --head --port {port} --disable-usage-stats."
+        f"No Ray cluster answers at '{where}' ({problem}). Begin one there: ray start --head --port {port} "
+        "--disable-usage-stats."
     )
 
 
@@ -187,8 +195,8 @@ def _of_this_machine():
 
 
 def _environment():
-    """What of the environment workers need, so that results are this process's: XLA sums in as many threads as it would here
-    (see macid.learning.train.train)."""
+    """What of the environment workers need, so that results are this process's: XLA sums in as many threads as it would
+    here (see macid.learning.train.train)."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     kept = {name: os.environ[name] for name in ("MUJOCO_GL", "JAX_PLATFORMS", "XLA_FLAGS") if name in os.environ}
     return {
@@ -200,8 +208,8 @@ def _environment():
 
 @dataclasses.dataclass(frozen=True)
 class _Bundle:
-    """What goes to workers once for all jobs: files by absolute path, folders of modules, the current folder, and what they
-    must be like."""
+    """What goes to workers once for all jobs: files by absolute path, folders of modules, the current folder, and what
+    they must be like."""
 
     files: dict[str, bytes]
     paths: tuple[str, ...]
@@ -211,7 +219,8 @@ class _Bundle:
 
 
 def _task(ray):
-    """The Ray task of a job. It is sent by value, so it begins in a worker that has another version of this, or none."""
+    """The Ray task of a job. It is sent by value, so it begins in a worker that has another version of this, or
+    none."""
 
     @ray.remote(max_retries=0, num_cpus=1, num_returns="streaming")
     def work(environment, bundle, call):
@@ -223,8 +232,8 @@ def _task(ray):
         try:
             from macid.cluster import serve
         except ImportError as error:
-            told = f"A worker on {socket.gethostname()} lacks this version of bson-macid ({error}): install the same on every machine."
-            yield pickle.dumps(("error", ValueError(told)))
+            told = f"A worker on {socket.gethostname()} lacks this version of bson-macid ({error})"
+            yield pickle.dumps(("error", ValueError(f"{told}: install the same on every machine.")))
             return
         yield from serve(bundle, call)
 
@@ -249,19 +258,19 @@ def fingerprint(packages: tuple[str, ...]) -> dict[str, str]:
 
 def _other_version(bundle):
     """What sets this worker apart from who asks, in a sentence; "" where nothing does."""
-    ours = fingerprint(bundle.packages)
-    other = [f"{name} {ours.get(name)}, not {wanted}" for name, wanted in bundle.fingerprint.items() if ours.get(name) != wanted]
+    ours, wanted = fingerprint(bundle.packages), bundle.fingerprint
+    other = [f"{name} {ours.get(name)}, not {wanted[name]}" for name in wanted if ours.get(name) != wanted[name]]
     if not other:
         return ""
     return (
-        f"The worker on {socket.gethostname()} has another version: {', '.join(other)} (of bson-macid: a hash of code and assets). "
-        "Install the same on every machine."
+        f"The worker on {socket.gethostname()} has another version: {', '.join(other)} (of bson-macid: a hash of code and "
+        "assets). Install the same on every machine."
     )
 
 
 def serve(bundle: _Bundle, call: bytes):
-    """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The work is
-    done in a thread."""
+    """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The
+    work is done in a thread."""
     if problem := _other_version(bundle):
         yield pickle.dumps(("error", UsageError(problem)))
         return
@@ -288,8 +297,8 @@ def serve(bundle: _Bundle, call: bytes):
 
 @contextlib.contextmanager
 def _unpacked(bundle):
-    """The bundle's files in a folder of their own, the place of the current folder in it being the current folder; all is as
-    it was behind it. Gives the folder, before which absolute paths go."""
+    """The bundle's files in a folder of their own, the place of the current folder in it being the current folder; all
+    is as it was behind it. Gives the folder, before which absolute paths go."""
     before, paths = os.getcwd(), list(sys.path)
     with tempfile.TemporaryDirectory(prefix="macid-worker-") as root:
         try:

@@ -1,10 +1,11 @@
 """Where work is done: in this process (`Local`), or by workers on the machines of a Ray cluster (macid.cluster).
 
-Work is a function `work(job, send)` of a module; it calls `send(piece)` with whatever is ready, and all that it gives are
-these pieces. An executor runs it for several jobs, and hands what they send to `receive(index, piece)`, in this process.
+Work is a function `work(job, send)` of a module; it calls `send(piece)` with whatever is ready, and all that it gives
+are these pieces. An executor runs it for several jobs, and hands what they send to `receive(index, piece)`, in this
+process.
 
-A job is asked for when it begins, and again when it was lost with a worker: it is a function that gives what is left to do,
-as far as `receive` was told, or None where nothing is. So a lost worker costs what it had not sent.
+A job is asked for when it begins, and again when it was lost with a worker: it is a function that gives what is left to
+do, as far as `receive` was told, or None where nothing is. So a lost worker costs what it had not sent.
 """
 
 import dataclasses
@@ -35,9 +36,11 @@ class Executor(Protocol):
     def __exit__(self, *error: Any) -> None: ...
 
     def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: "Carried") -> None:
-        """Runs `work` for every job, in whatever order, and calls receive(index, piece) with what each sends, as it comes.
+        """Runs `work` for every job, in whatever order, and calls receive(index, piece) with what each sends, as it
+        comes.
 
-        carried: what the jobs need of this machine. Raises what `work` raises, and UsageError where a worker can't do it.
+        carried: what the jobs need of this machine. Raises what `work` raises, and UsageError where a worker can't do
+        it.
         """
         ...
 
@@ -64,8 +67,8 @@ def make_executor(name: str | Executor = "local", address: str | None = None, wo
     """The executor `name` of EXECUTORS, or the Executor itself.
 
     address: of the Ray cluster, HOST:PORT or "auto", which is that of this machine (default: the environment variable
-    RAY_ADDRESS, or else a cluster of this machine alone, for as long as it is used). workers: jobs at once (default: the
-    cluster's cores). Raises UsageError, before anything is begun, where Ray is not installed or nobody answers.
+    RAY_ADDRESS, or else a cluster of this machine alone, for as long as it is used). workers: jobs at once (default:
+    the cluster's cores). Raises UsageError, before anything is begun, where Ray is not installed or nobody answers.
     """
     if not isinstance(name, str):
         return name
@@ -85,8 +88,9 @@ def make_executor(name: str | Executor = "local", address: str | None = None, wo
 class Carried:
     """Files of this machine that jobs need, and that travel with them.
 
-    files: their absolute paths; a worker has them in a folder of its own, in which the current folder's place is the worker's
-    current folder, so that relative names lead to them. paths: folders among these in which modules are looked for.
+    files: their absolute paths; a worker has them in a folder of its own, in which the current folder's place is the
+    worker's current folder, so that relative names lead to them. paths: folders among these in which modules are looked
+    for.
     """
 
     files: tuple[str, ...] = ()
@@ -120,11 +124,11 @@ def carry_files(files: Iterable[str | pathlib.Path]) -> Carried:
 
 
 def carry_module(name: str, extra: Iterable[str | pathlib.Path] = (), top: str | pathlib.Path | None = None) -> Carried:
-    """The loaded module `name` with the modules beside it that are loaded by now, as it imported them; nothing of one that is
-    installed, as that has to be installed on every machine.
+    """The loaded module `name` with the modules beside it that are loaded by now, as it imported them; nothing of one
+    that is installed, as that has to be installed on every machine.
 
-    extra: further files, named from its folder. top: the folder below which modules count as beside it (default: that in which
-    the module, or its package, is found).
+    extra: further files, named from its folder. top: the folder below which modules count as beside it (default: that
+    in which the module, or its package, is found).
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     if not file or name.partition(".")[0] in _OURS or _installed(file):

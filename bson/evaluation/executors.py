@@ -43,8 +43,8 @@ class Pair:
 
 
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
-    """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the agent's
-    factory, where it is loaded already."""
+    """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
+    agent's factory, where it is loaded already."""
     make_agent = make_agent or load_agent(job.agent)
     run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
 
@@ -69,8 +69,8 @@ def _told_by(send):
 
 
 def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:
-    """`seeds` of one cell in parts, each a job: all at once in this process; elsewhere about two jobs a worker over the `total`
-    that is to be played, of at most a batch. Results don't depend on it."""
+    """`seeds` of one cell in parts, each a job: all at once in this process; elsewhere about two jobs a worker over the
+    `total` that is to be played, of at most a batch. Results don't depend on it."""
     if executor.workers is None:
         return [seeds] if seeds else []
     most = max(1, min(BATCH, math.ceil(total / (2 * executor.workers))))
@@ -78,8 +78,9 @@ def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequenc
 
 
 def carried_agent(agent: Any) -> Carried:
-    """What of the agent's files travels: its file or its module's, the modules beside it that it imported, and the files that
-    its attribute `files` names, from its folder; of a policy its .npz and .json. Nothing of what is installed."""
+    """What of the agent's files travels: its file or its module's, the modules beside it that it imported, and the
+    files that its attribute `files` names, from its folder; of a policy its .npz and .json. Nothing of what is
+    installed."""
     if not isinstance(agent, str):
         return carry_module(getattr(agent, "__module__", None) or "", getattr(agent, "files", ()))
     if agent in BUILT_IN or agent in learned.names():
@@ -126,11 +127,13 @@ def play_cells(
 ) -> list[list[Episode]]:
     """The Episodes `seeds` of each of `cells`.
 
-    make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep: called with each that ends. watch: gives
-    a context of a function progress(control steps, whether an episode ended), of the cell's name (None: of all cells) and
-    whether it is without the robot, how many episodes there are, and how many are done. paired: also plays without the robot.
+    make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep:
+    called with each that ends. watch: gives a context of a function progress(control steps, whether an episode ended),
+    of the cell's name (None: of all cells) and whether it is without the robot, how many episodes there are, and how
+    many are done. paired: also plays without the robot.
     """
     whole = executor.workers is not None  # all cells at once, elsewhere
+    playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()
     if whole:
         carried += carried_agent(agent)
@@ -165,7 +168,7 @@ def play_cells(
             for place in places
             for share in shares(missing(place), total, executor)
         ]
-        run(play if whole else functools.partial(play, make_agent=make_agent), parts, False, len(seeds) * len(places) - total)
+        run(playing, parts, False, len(seeds) * len(places) - total)
         if paired:
             total = sum(len(unpaired(place)) for place in places)
             parts = [

@@ -1,6 +1,7 @@
 """Trainings as jobs of an executor: each in a folder of the worker's, whose files come here as they are written.
 
-A checkpoint that came is what a training goes on from when its worker was lost, and after `--resume`, wherever that runs.
+A checkpoint that came is what a training goes on from when its worker was lost, and after `--resume`, wherever that
+runs.
 """
 
 import contextlib
@@ -23,8 +24,9 @@ _LOOK = 1.0  # between looks at what a training has written [s]
 class Group:
     """Trainings that run at once in one job: of one, or of as many as one checkpoint is of.
 
-    train: a module's function train(configs, out, show), which goes on from what is in `out` and writes each configuration's
-    FILES in the folder `out`/NAME-SEED; show(figures...) is for whoever waits. configs: dataclasses with `name` and `seed`.
+    train: a module's function train(configs, out, show), which goes on from what is in `out` and writes each
+    configuration's FILES in the folder `out`/NAME-SEED; show(figures...) is for whoever waits. configs: dataclasses
+    with `name` and `seed`.
     """
 
     train: Callable[[Sequence[Any], pathlib.Path, Callable[..., None]], Any]
