@@ -13,6 +13,7 @@ when it is needed: comparing results loads neither JAX nor MuJoCo.
 import contextlib
 import dataclasses
 import functools
+import json
 import pathlib
 import sys
 import time
@@ -126,7 +127,7 @@ def evaluate(
             frozen_seeds=seed == 0,
             command=command,
         )
-        found = Results(content, "" if out is None else str(out))
+        found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
         if folder is None:
             if told:
                 told(found)

@@ -76,7 +76,7 @@ class Content(msgspec.Struct):
 class Results:
     """What an evaluation gave. E episodes were scored, in the order of cells and seeds.
 
-    content: of results.json, as JSON has it. source: where it lies, as the user named it; "" of what was not saved yet.
+    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was not saved.
     written: the files that the evaluation has written, the films last.
     """
 

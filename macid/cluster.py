@@ -14,6 +14,7 @@ import os
 import pathlib
 import pickle
 import queue
+import secrets
 import shutil
 import socket
 import sys
@@ -28,7 +29,8 @@ from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"
-_RAY = {  # the environment of Ray: it tells nobody of its use, and its workers' priority is this process's, not a lower one
+# The environment of Ray: it tells nobody of its use, and its workers' priority is this process's, not a lower one.
+_RAY = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",
 }
@@ -65,6 +67,7 @@ class Cluster:
             quiet = {"log_to_driver": False, "logging_level": "ERROR"}
             alone = {}
             if self.address == "local":
+                os.environ.setdefault("RAY_AUTH_TOKEN", _token())  # Ray would note one in the home folder
                 self._folder = tempfile.mkdtemp(prefix="macid-ray-")
                 alone = {
                     "num_cpus": self._wanted or os.cpu_count(),
@@ -79,8 +82,8 @@ class Cluster:
                 self.__exit__()
                 told = " ".join(str(error).split())[:400]
                 raise UsageError(
-                    f"Can't work on the Ray cluster '{self.address}': {told.rstrip('.')}. This machine has to be one of "
-                    "it: ray start --address HOST:PORT."
+                    f"Can't work on the Ray cluster '{self.address}': {told.rstrip('.')}. This machine has to be one "
+                    "of it (ray start --address HOST:PORT), with its token if it has one (RAY_AUTH_MODE=token)."
                 ) from None
             except BaseException:
                 self.__exit__()
@@ -150,14 +153,20 @@ class Cluster:
                     ray.cancel(pieces, force=True)
 
 
+@functools.cache
+def _token():
+    """The token of this process's own clusters."""
+    return secrets.token_hex(32)
+
+
 def _checked(address):
     """`address`, where a cluster answers there. Raises UsageError within seconds."""
     if address == "local":
         return address
     if address.startswith("ray://"):
         raise UsageError(
-            f"--ray-address {address}: Ray's client is not used. Run this on a machine of the cluster, with --ray-address "
-            "auto."
+            f"--ray-address {address}: Ray's client is not used. Run this on a machine of the cluster, with "
+            "--ray-address auto."
         )
     where = _of_this_machine() if address == "auto" else address
     if where is None:
@@ -174,7 +183,7 @@ def _checked(address):
             connection.settimeout(_ANSWER)
             connection.sendall(_PREFACE)
             if connection.recv(9)[3:4] == bytes([_SETTINGS]):
-                return where
+                return address
     except TimeoutError:
         problem = f"nothing came within {_ANSWER:g} s"
     except (OSError, UnicodeError) as error:
@@ -263,8 +272,8 @@ def _other_version(bundle):
     if not other:
         return ""
     return (
-        f"The worker on {socket.gethostname()} has another version: {', '.join(other)} (of bson-macid: a hash of code and "
-        "assets). Install the same on every machine."
+        f"The worker on {socket.gethostname()} has another version: {', '.join(other)} (of bson-macid: a hash of "
+        "code and assets). Install the same on every machine."
     )
 
 

@@ -63,6 +63,12 @@ class Local:
                 work(left, functools.partial(receive, index))
 
 
+def call(job: tuple[Callable[..., Any], dict[str, Any]], send: Callable[[Any], None]) -> None:
+    """The work of a job that is a module's function and its arguments by name: sends what it returns."""
+    function, arguments = job
+    send(function(**arguments))
+
+
 def make_executor(name: str | Executor = "local", address: str | None = None, workers: int | None = None) -> Executor:
     """The executor `name` of EXECUTORS, or the Executor itself.
 

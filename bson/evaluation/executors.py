@@ -112,6 +112,34 @@ def _network(path):
     return [pathlib.Path(path), pathlib.Path(path).with_suffix(".json")]
 
 
+def play_each(
+    executor: Executor,
+    plays: Sequence[Play],
+    whole: Callable[[Play, list[Episode]], None],
+) -> None:
+    """Plays episodes of different agents and settings, all side by side. whole: called with each of `plays` as it has all its
+    Episodes, in the order of its seeds."""
+    carried = Carried()
+    for each in plays:
+        carried += carried_agent(each.agent) + carried_task(each.config)
+    found = [{} for _ in plays]
+    total = sum(len(each.seeds) for each in plays)
+    parts = [(place, share) for place, each in enumerate(plays) for share in shares(each.seeds, total, executor)]
+
+    def left(place, share):
+        seeds = tuple(seed for seed in share if seed not in found[place])
+        return dataclasses.replace(plays[place], seeds=seeds) if seeds else None
+
+    def receive(index, piece):
+        place, episode = parts[index][0], piece[1]
+        if episode is not None:
+            found[place][episode.seed] = episode
+            if len(found[place]) == len(plays[place].seeds):
+                whole(plays[place], [found[place].pop(seed) for seed in plays[place].seeds])
+
+    executor.run(play, [functools.partial(left, *part) for part in parts], receive, carried)
+
+
 def play_cells(
     executor: Executor,
     agent: Any,
