@@ -177,9 +177,7 @@ def _bar(name, several, quiet, cell, without_robot, total, done):
     told = f"{name}: {cell}" if several and cell is not None else name
     if without_robot:
         told += ", without the robot"
-    with tqdm(
-        total=total, initial=done, unit="episode", desc=told, file=sys.stderr, smoothing=0, disable=quiet
-    ) as bar:
+    with tqdm(total=total, initial=done, unit="episode", desc=told, file=sys.stderr, smoothing=0, disable=quiet) as bar:
         steps, shown = 0, time.monotonic()
 
         def progress(control_steps, ended):

@@ -29,8 +29,10 @@ from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"
-# The environment of Ray: it tells nobody of its use, and its workers' priority is this process's, not a lower one.
+# The environment of Ray: it tells nobody of its use, its workers' priority is this process's, not a lower one, and of a lost
+# worker we tell, not Ray, on standard output.
 _RAY = {
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "worker died or was killed",
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",
 }
@@ -104,7 +106,7 @@ class Cluster:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
-    def run(self, work, jobs, receive, carried: Carried = Carried()) -> None:
+    def run(self, work, jobs, receive, carried: Carried) -> None:
         """See macid.executors.Executor.run."""
         ray = self._ray
         packages = tuple(dict.fromkeys(["macid", work.__module__.partition(".")[0]]))

@@ -103,17 +103,15 @@ class Carried:
     paths: tuple[str, ...] = ()
 
     def __add__(self, other: "Carried") -> "Carried":
-        return Carried(
-            tuple(dict.fromkeys(self.files + other.files)), tuple(dict.fromkeys(self.paths + other.paths))
-        )
+        return Carried(tuple(dict.fromkeys(self.files + other.files)), tuple(dict.fromkeys(self.paths + other.paths)))
 
     def read(self) -> dict[str, bytes]:
         """{absolute path: content}. Raises UsageError where that is more than 64 MiB."""
         if (size := sum(pathlib.Path(file).stat().st_size for file in self.files)) > _MOST_BYTES:
             most = max(self.files, key=lambda file: pathlib.Path(file).stat().st_size)
             raise UsageError(
-                f"{len(self.files)} files with {size >> 20:,} MiB would travel to every worker, at most {_MOST_BYTES >> 20} "
-                f"MiB can: {named(most)} is the largest."
+                f"{len(self.files)} files with {size >> 20:,} MiB would travel to every worker, but at most "
+                f"{_MOST_BYTES >> 20} MiB can: {named(most)} is the largest."
             )
         return {file: pathlib.Path(file).read_bytes() for file in self.files}
 

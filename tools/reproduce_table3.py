@@ -2,11 +2,12 @@
 
     tools/reproduce_table3.py --out table3
 
-Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among one
-kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of everybody).
-Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are
-means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
-With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all else is as without.
+Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among
+one kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of
+everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was.
+Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a
+training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all
+else is as without.
 """
 
 import argparse
@@ -49,8 +50,8 @@ DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
 
 def wanted(algo, crowd, seed, steps, runs):
-    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper" behind
-    it for that preset."""
+    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper"
+    behind it for that preset."""
     algo, _, preset = algo.partition("-")
     task = {} if crowd == "macid" else {"pedestrian_model": crowd}
     config = TrainConfig(algo, seed, steps, task, hyperparameters=PRESETS[preset or "fast"][algo])
@@ -72,8 +73,8 @@ def robot(config, runs):
 
 
 def train_missing(executor, configs, runs):
-    """Trains those of `configs` that have no policy, side by side on an executor of several workers. In this process each
-    is trained when it is asked for instead."""
+    """Trains those of `configs` that have no policy, side by side on an executor of several workers. In this process
+    each is trained when it is asked for instead."""
     missing = [config for config in configs if not is_done(config, runs / f"{config.name}-{config.seed}")]
     if executor.workers is not None and missing:
         train_apart(executor, missing, runs, resume=True)
@@ -100,8 +101,8 @@ def write_row(path, agent, changes, episodes):
 
 
 def play_missing(executor, rows, suite, seeds, wanted):
-    """Plays what of the evaluations `wanted`, [(agent, changes), ...], is not in the folder `rows`, side by side on an executor of
-    several workers. In this process each is played when it is asked for instead."""
+    """Plays what of the evaluations `wanted`, [(agent, changes), ...], is not in the folder `rows`, side by side on an
+    executor of several workers. In this process each is played when it is asked for instead."""
     missing = {}
     for agent, changes in wanted:
         path, play, _ = row_of(rows, agent, suite, seeds, changes)
@@ -118,7 +119,8 @@ def play_missing(executor, rows, suite, seeds, wanted):
 
 
 def scored(rows, agent, suite, seeds, **changes):
-    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are there."""
+    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are
+    there."""
     path, play, make_agent = row_of(rows, agent, suite, seeds, changes)
     if path.exists():
         return json.loads(path.read_text())["episodes"]

@@ -5,8 +5,8 @@
 Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
 knob.md (how each policy's LCF works, on these and on maps of other kinds), figure2.png and figure2.csv. Policies that
 are not in the folder are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it
-was. A method's figures are the mean over its seeds and their (sample) standard deviation. With --executor ray, trainings and
-evaluations go side by side, on this machine's cores or on a cluster's; all else is as without.
+was. A method's figures are the mean over its seeds and their (sample) standard deviation. With --executor ray,
+trainings and evaluations go side by side, on this machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
@@ -63,7 +63,8 @@ PAPER_TABLE_1 = (
 
 
 def wanted(agent_steps, seeds=None):
-    """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
+    """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig:
+    count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
     others = [preset(name, method="ipo") for name in ("paper-batch", "paper-ppo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
@@ -100,8 +101,8 @@ def find_policies(configs, *folders):
 
 
 def train_missing(configs, found, folder, executor=None):
-    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds, side by side on an
-    executor of several workers."""
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds, side by
+    side on an executor of several workers."""
     todo = [
         replace(config, seed=seed)
         for config, seeds in configs.items()
@@ -117,8 +118,8 @@ def train_missing(configs, found, folder, executor=None):
 
 
 def evaluation(file, level, lcf, episodes):
-    """(settings that a row's name follows from, the function, its arguments) of a row of `evaluate_level`; `file`: a policy's or
-    a rule's name."""
+    """(settings that a row's name follows from, the function, its arguments) of a row of `evaluate_level`; `file`: a
+    policy's or a rule's name."""
     config = CrowdConfig(period=usual_period(str(file)), lcf=lcf)
     arguments = {"pedestrian": str(file), "level": level, "episodes": episodes, "config": config}
     return [plain(config), episodes], evaluate_level, arguments
@@ -173,8 +174,8 @@ def told(asked):
 
 
 def play_missing(executor, rows, wanted):
-    """Plays what of the evaluations `wanted` is not in the folder `rows`, side by side on an executor of several workers. In this
-    process each is played when it is asked for instead."""
+    """Plays what of the evaluations `wanted` is not in the folder `rows`, side by side on an executor of several
+    workers. In this process each is played when it is asked for instead."""
     missing = {}
     for asked in wanted:
         path = row_file(rows, asked[0], asked[2])
@@ -219,7 +220,7 @@ def over_seeds(rows_by_seed, columns=COLUMNS):
 def line(label, mean, std=None):
     """A row of a Markdown table; "-" for NaN."""
     cells = [f"{m:.1f}" if std is None else f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, mean if std is None else std)]
-    return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells)])
+    return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells, strict=False)])
 
 
 def text_row(label, cells):
@@ -354,14 +355,14 @@ def _make(args, executor):
 def asked_for(args, models, policies, turned):
     """The evaluations that the chosen tables are of."""
     chosen = {"table2": models, "periods": policies}
-    files = dict.fromkeys(file for name in chosen if name in args.tables for each in chosen[name].values() for file in each)
+    groups = [group for name in chosen if name in args.tables for group in chosen[name].values()]
+    files = dict.fromkeys(file for group in groups for file in group)
     asked = [evaluation(file, level, table_lcf(str(file)), args.episodes) for file in files for level in LEVELS]
     ours = [(method, file) for method in turned for file in policies[method]]
     if "table1" in args.tables:
         bins = {method: lcf_bins(str(policies[method][0])) for method in turned}
-        asked += [
-            evaluation(file, level, lcf, args.episodes) for method, file in ours for lcf in bins[method] for level in LEVELS
-        ]
+        sections = [(file, lcf) for method, file in ours for lcf in bins[method]]
+        asked += [evaluation(file, level, lcf, args.episodes) for file, lcf in sections for level in LEVELS]
     if "knob" in args.tables:
         asked += [knob_evaluation(file, level, args.episodes) for _, file in ours for level in LEVELS + OTHER_LEVELS]
     return asked

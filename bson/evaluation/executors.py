@@ -20,7 +20,9 @@ from macid.executors import Carried, Executor, carry_files, carry_module
 from macid.maps import map_files
 
 _TELL = 0.2  # between messages on control steps [s]
-_MODEL = frozenset(".xml .urdf .toml .stl .obj .msh .mtl .dae .skn .png .jpg .bin .hf".split())  # a robot's files
+_MODEL = frozenset(
+    [".xml", ".urdf", ".toml", ".stl", ".obj", ".msh", ".mtl", ".dae", ".skn", ".png", ".jpg", ".bin", ".hf"]
+)  # a robot's files
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +89,7 @@ def carried_agent(agent: Any) -> Carried:
         return Carried()
     if agent.endswith(".npz"):
         return carry_files(_network(agent))
-    module, colon, attribute = agent.rpartition(":") if ":" in agent else (agent, "", "agent")
+    module, _colon, attribute = agent.rpartition(":") if ":" in agent else (agent, "", "agent")
     top = None
     if module.endswith(".py"):
         path = pathlib.Path(module)
@@ -117,8 +119,10 @@ def play_each(
     plays: Sequence[Play],
     whole: Callable[[Play, list[Episode]], None],
 ) -> None:
-    """Plays episodes of different agents and settings, all side by side. whole: called with each of `plays` as it has all its
-    Episodes, in the order of its seeds."""
+    """Plays episodes of different agents and settings, all side by side.
+
+    whole: called with each of `plays` as it has all its Episodes, in the order of its seeds.
+    """
     carried = Carried()
     for each in plays:
         carried += carried_agent(each.agent) + carried_task(each.config)

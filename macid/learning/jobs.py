@@ -53,7 +53,7 @@ def train_groups(
     resume: bool,
     show: Callable[..., None],
     is_done: Callable[[Any, pathlib.Path], bool],
-    carried: Carried = Carried(),
+    carried: Carried | None = None,
 ) -> list[pathlib.Path]:
     """Runs trainings; returns their folders `out`/NAME-SEED, which are locked meanwhile.
 
@@ -82,7 +82,7 @@ def train_groups(
             else:
                 show(groups[index].configs[0], *content)
 
-        executor.run(train_here, [lambda group=group: job(group) for group in groups], receive, carried)
+        executor.run(train_here, [lambda group=group: job(group) for group in groups], receive, carried or Carried())
     return paths
 
 

@@ -24,20 +24,32 @@ def ahead(observation):
 def evaluated(tmp_path_factory):
     """Results of the call, and the folder in which they are."""
     out = tmp_path_factory.mktemp("call")
-    found = benchmark.evaluate(
-        "goal", "smoke", out=out, episodes=3, overrides=QUICK, paired=True, videos=0, quiet=True
-    )
+    found = benchmark.evaluate("goal", "smoke", out=out, episodes=3, overrides=QUICK, paired=True, videos=0, quiet=True)
     return found, out
 
 
 def test_the_call_gives_what_the_command_writes(evaluated, tmp_path, capsys):
     found, out = evaluated
-    command = ["evaluate", "--agent", "goal", "--suite", "smoke", "--episodes", "3", "--paired", "--videos", "0", *WORDS]
+    command = [
+        "evaluate",
+        "--agent",
+        "goal",
+        "--suite",
+        "smoke",
+        "--episodes",
+        "3",
+        "--paired",
+        "--videos",
+        "0",
+        *WORDS,
+    ]
     assert cli.main([*command, "--out", str(tmp_path)]) == 0
     theirs = json.loads((tmp_path / "results.json").read_text())
     assert theirs.pop("command").startswith("bson evaluate --agent goal --suite smoke")
     ours = json.loads((out / "results.json").read_text())
-    assert ours.pop("command") is None and list(ours) == list(theirs) and ours == theirs
+    assert ours.pop("command") is None
+    assert list(ours) == list(theirs)
+    assert ours == theirs
     assert [path.name for path in found.written] == ["results.json", "report.html"]
     assert {path.name for path in out.iterdir()} == {path.name for path in tmp_path.iterdir()}
 
@@ -47,9 +59,11 @@ def test_results_have_the_metrics_as_arrays_and_come_back_as_they_were(evaluated
     rows = json.loads((out / "results.json").read_text())["episodes"]
     assert list(found.metrics) == [metric.name for metric in METRICS]
     for name, values in found.metrics.items():
-        assert values.dtype == np.float64 and values.shape == found.seed.shape == found.cell.shape == (3,)
+        assert values.dtype == np.float64
+        assert values.shape == found.seed.shape == found.cell.shape == (3,)
         assert [None if np.isinf(value) else value for value in values] == [row[name] for row in rows]
-    assert found.seed.tolist() == [row["seed"] for row in rows] and set(found.cell) == {"all"} == set(found.cells)
+    assert found.seed.tolist() == [row["seed"] for row in rows]
+    assert set(found.cell) == {"all"} == set(found.cells)
     assert found.summary["SNS"] == pytest.approx(found.metrics["SNS"].mean())
     low, high = found.intervals["SNS"]
     assert low <= found.summary["SNS"] <= high
@@ -57,15 +71,18 @@ def test_results_have_the_metrics_as_arrays_and_come_back_as_they_were(evaluated
     found.save(tmp_path)
     assert (tmp_path / "results.json").read_bytes() == (out / "results.json").read_bytes()
     again = Results.load(tmp_path)
-    assert again.content == found.content and again.source == str(tmp_path)
+    assert again.content == found.content
+    assert again.source == str(tmp_path)
     assert all(np.array_equal(again.metrics[name], values) for name, values in found.metrics.items())
 
 
 def test_an_agent_may_be_given_itself_and_nothing_need_be_written(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     found = benchmark.evaluate(ahead, "smoke", episodes=2, overrides=QUICK)
-    assert found.agent.endswith(":ahead") and found.metrics["speed_max"].min() > 0.5
-    assert not found.written and not list(tmp_path.iterdir())
+    assert found.agent.endswith(":ahead")
+    assert found.metrics["speed_max"].min() > 0.5
+    assert not found.written
+    assert not list(tmp_path.iterdir())
     assert "2/2" in capsys.readouterr().err
     with pytest.raises(UsageError, match="`out`"):
         benchmark.evaluate(ahead, "smoke", episodes=2, resume=True)
@@ -96,6 +113,9 @@ def test_comparing_loads_neither_jax_nor_mujoco(evaluated, tmp_path):
     found, out = evaluated
     found.save(tmp_path / "other.json")
     ran = subprocess.run(
-        [sys.executable, "-c", LIGHT, str(out), str(tmp_path / "other.json")], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", LIGHT, str(out), str(tmp_path / "other.json")],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
     )
     assert (ran.returncode, ran.stdout) == (0, "\n"), ran.stderr
