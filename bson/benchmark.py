@@ -45,6 +45,7 @@ def evaluate(
     track: str | None = None,
     sensor: Any = None,
     overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
     paired: bool = False,
     videos: int = 2,
     resume: bool = False,
@@ -69,7 +70,7 @@ def evaluate(
     Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another
     ValueError, of one line, before anything is written where the request can't be met.
     """
-    from bson.agents import agent_label, load_agent
+    from bson.agents import agent_label, check_settings, load_agent
     from bson.evaluate import results, sound
     from bson.evaluation.executors import play_cells
     from bson.report import make_report
@@ -83,9 +84,10 @@ def evaluate(
     chosen = load_suite(suite)
     seeds = chosen.drawn(episodes, seed)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
-    make_agent = load_agent(agent)
+    make_agent = load_agent(agent, untrained)
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
+    check_settings(make_agent, [cell.config for cell in cells], seen)
     for cell in cells:
         _check_spawn(cell.config, seeds)
     follows_from = basis(name, wanted, cells, paired)
@@ -104,6 +106,7 @@ def evaluate(
                 runner,
                 agent,
                 make_agent,
+                untrained,
                 name,
                 cells,
                 wanted,
@@ -225,7 +228,7 @@ def _films(played, cells, track, folder, number, name, quiet):
 
     from bson import film
     from bson.metrics import sns
-    from bson.world import build_model
+    from bson.simulation.scene import build_model
     from macid import drawing
 
     if number == 0:
@@ -294,6 +297,7 @@ def film(
     track: str | None = None,
     sensor: Any = None,
     overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
     quiet: bool = False,
 ) -> pathlib.Path:
     """Films the episode `seed` of an agent, as `bson render` does; returns the path.
@@ -302,16 +306,17 @@ def film(
     `evaluate`. Raises UsageError, before anything is played where the request can't be met.
     """
     from bson import film
-    from bson.agents import agent_label, load_agent
+    from bson.agents import agent_label, check_settings, load_agent
     from bson.evaluate import run_episodes
+    from bson.simulation.scene import build_model
     from bson.task import TaskConfig
     from bson.tracks import make_track
-    from bson.world import build_model
     from macid import drawing
 
     config, name = TaskConfig().replace(**overrides or {}), agent_label(agent)
-    make_agent = load_agent(agent)
+    make_agent = load_agent(agent, untrained)
     seen = make_track(track or make_agent.track, sensor or make_agent.sensor)
+    check_settings(make_agent, [config], seen)
     path = pathlib.Path(out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
@@ -360,6 +365,7 @@ def train(
     preset: str = "fast",
     overrides: dict[str, Any] | None = None,
     resume: bool = False,
+    tensorboard: bool = False,
     executor: str | Executor = "local",
     ray_address: str | None = None,
     workers: int | None = None,
@@ -382,10 +388,10 @@ def train(
         TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=PRESETS[preset][algo])
         for one in range(seed, seed + seeds)
     ]
-    return train_configs(configs, out, resume, executor, ray_address, workers)
+    return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
 
 
-def train_configs(configs, out, resume=False, executor="local", ray_address=None, workers=None):
+def train_configs(configs, out, resume=False, tensorboard=False, executor="local", ray_address=None, workers=None):
     """As `train`, of any TrainConfigs."""
     with agents_extra():
         from bson.learning import train as training
@@ -394,5 +400,7 @@ def train_configs(configs, out, resume=False, executor="local", ray_address=None
     start.cleaning_up()
     with make_executor(executor, ray_address, workers) as runner:
         if runner.workers is None:
-            return [training.train_with_bar(config, out, resume) for config in configs]
+            return [training.train_with_bar(config, out, resume, tensorboard) for config in configs]
+        if tensorboard:
+            raise UsageError("--tensorboard is for trainings in this process: leave it out with --executor ray.")
         return training.train_apart(runner, configs, out, resume)

@@ -105,6 +105,7 @@ def _evaluate(args):
         track=args.track,
         sensor=args.sensor,
         overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
         paired=args.paired,
         videos=args.videos,
         resume=args.resume,
@@ -148,6 +149,7 @@ def _render(args):
         track=args.track,
         sensor=args.sensor,
         overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
     )
     print(f"Written: {path}")
     return 0
@@ -166,6 +168,7 @@ def _train(args):
         preset=args.preset,
         overrides=_overrides(args.set),
         resume=args.resume,
+        tensorboard=args.tensorboard,
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
@@ -237,6 +240,11 @@ def _add_setting(command):
     command.add_argument("--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]")
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
+    command.add_argument(
+        "--untrained-setting",
+        action="store_true",
+        help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
+    )
     _add_task(command)
 
 
@@ -333,6 +341,7 @@ def parser():
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)
+    train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")

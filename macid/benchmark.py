@@ -128,6 +128,7 @@ def train(
     seed: int = 0,
     seeds: int = 1,
     resume: bool = False,
+    tensorboard: bool = False,
     executor: str | Executor = "local",
     ray_address: str | None = None,
     workers: int | None = None,
@@ -151,6 +152,8 @@ def train(
     start.cleaning_up()
     with make_executor(executor, ray_address, workers) as runner:
         if runner.workers is not None:
+            if tensorboard:
+                raise UsageError("--tensorboard is for trainings in this process: leave it out with --executor ray.")
             return training.train_apart(runner, configs, folder, resume, show)
-        training.train(first, folder, seeds, resume=resume, show=show)
+        training.train(first, folder, seeds, resume=resume, show=show, tensorboard=tensorboard)
     return [folder / folder_of(config) for config in configs]

@@ -90,6 +90,7 @@ def _train(args):
         seed=args.seed,
         seeds=args.seeds,
         resume=args.resume,
+        tensorboard=args.tensorboard,
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
@@ -183,6 +184,7 @@ def parser():
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)
+    train.add_argument("--tensorboard", action="store_true", help="also log the curves for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from bson.agents import BUILT_IN, learned, load_agent
+from bson.episodes.record import Episode
 from bson.evaluate import BATCH, pair, run_episodes
-from bson.metrics import Episode
 from bson.robot import load_robot
 from bson.suites import Cell
 from bson.task import TaskConfig
@@ -34,6 +34,7 @@ class Play:
     track: tuple[Any, Any]  # what make_track takes
     seeds: tuple[int, ...]
     called: str = "agent"
+    untrained: bool = False  # whether it may drive in another setting than it was trained in
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Pair:
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
     """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
     agent's factory, where it is loaded already."""
-    make_agent = make_agent or load_agent(job.agent)
+    make_agent = make_agent or load_agent(job.agent, job.untrained)
     run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
 
 
@@ -130,10 +131,6 @@ def play_each(
     total = sum(len(each.seeds) for each in plays)
     parts = [(place, share) for place, each in enumerate(plays) for share in shares(each.seeds, total, executor)]
 
-    def left(place, share):
-        seeds = tuple(seed for seed in share if seed not in found[place])
-        return dataclasses.replace(plays[place], seeds=seeds) if seeds else None
-
     def receive(index, piece):
         place, episode = parts[index][0], piece[1]
         if episode is not None:
@@ -141,13 +138,15 @@ def play_each(
             if len(found[place]) == len(plays[place].seeds):
                 whole(plays[place], [found[place].pop(seed) for seed in plays[place].seeds])
 
-    executor.run(play, [functools.partial(left, *part) for part in parts], receive, carried)
+    jobs = [_left_to_play(plays[place], share, found[place]) for place, share in parts]
+    executor.run(play, jobs, receive, carried)
 
 
 def play_cells(
     executor: Executor,
     agent: Any,
     make_agent: Any,
+    untrained: bool,
     called: str,
     cells: Sequence[Cell],
     track: tuple[Any, Any],
@@ -165,6 +164,10 @@ def play_cells(
     many are done. paired: also plays without the robot.
     """
     whole = executor.workers is not None  # all cells at once, elsewhere
+
+    def play_of(cell):
+        return Play(agent, cell.config, track, tuple(seeds), called, untrained)
+
     playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()
     if whole:
@@ -196,7 +199,7 @@ def play_cells(
 
         total = sum(len(missing(place)) for place in places)
         parts = [
-            (place, _left_to_play(agent, called, cells[place], track, share, found[place]))
+            (place, _left_to_play(play_of(cells[place]), share, found[place]))
             for place in places
             for share in shares(missing(place), total, executor)
         ]
@@ -212,12 +215,13 @@ def play_cells(
     return [[each[seed] for seed in seeds] for each in found]
 
 
-def _left_to_play(agent, called, cell, track, share, found):
-    """The job (macid.executors.Job) of the episodes `share` of a cell."""
+def _left_to_play(whole, share, found):
+    """The job (macid.executors.Job) of the episodes `share` of the Play `whole`, without those `found`, {seed:
+    Episode}."""
 
     def left():
         seeds = tuple(seed for seed in share if seed not in found)
-        return Play(agent, cell.config, track, seeds, called) if seeds else None
+        return dataclasses.replace(whole, seeds=seeds) if seeds else None
 
     return left
 

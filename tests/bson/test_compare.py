@@ -38,7 +38,7 @@ def runs(folders):
 
 
 def _run(agent, rows, **changes):
-    """A Run whose episodes `rows` are {(cell, seed): {metric: value}}."""
+    """Results whose episodes `rows` are {(cell, seed): {metric: value}}."""
     cells = dict.fromkeys(cell for cell, _ in rows)
     summary = summarise([{name: np.inf if v is None else v for name, v in row.items()} for row in rows.values()])
     content = {
