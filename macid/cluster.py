@@ -21,6 +21,7 @@ import sys
 import tempfile
 import threading
 import traceback
+import warnings
 from typing import Any
 
 from macid import assets, start
@@ -78,7 +79,8 @@ class Cluster:
                     "_temp_dir": self._folder,
                 }
             try:
-                with start.quiet_children():
+                with start.quiet_children(), warnings.catch_warnings():
+                    warnings.filterwarnings("ignore", r"os\.fork\(\) was called")  # of JAX: Ray forks to begin programs
                     ray.init(address=self.address, **alone, **quiet)
             except (ConnectionError, RuntimeError, ValueError, OSError) as error:
                 self.__exit__()
