@@ -62,7 +62,7 @@ class Kind(Generic[T]):
         if self.files:
             words.append(f"a {', '.join(self.files[:-1])}{' or ' if self.files[1:] else ''}{self.files[-1]} file")
         *most, last = words
-        return f"Choose {', '.join(most)}{', or ' if most[1:] else ' or ' if most else ''}{last}."
+        return f"Choose {', '.join(most)}, or {last}." if most else f"Choose {last}."
 
     def unknown(self, name: Any) -> Exception:
         """The error that `name` is none of these."""
