@@ -42,6 +42,7 @@ from msgspec import Meta
 from macid import assets, geometry
 from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
+from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
@@ -373,18 +374,21 @@ def robot_names():
     return assets.names("robots", ".toml")
 
 
-def load_robot(name):
+def load_robot(name: str) -> "Robot":
     """The Robot of a description: a name of `robot_names()`, or a .toml file.
 
     Raises UsageError, naming the valid choices, or what is wrong in the description or its model.
     """
+    cure = _CURES.get(pathlib.Path(name).suffix.lower(), "")
+    if cure and name not in robot_names():
+        raise UsageError(f"{ROBOTS.unknown(name)}{cure}")
+    return ROBOTS.load(name)
+
+
+def _read_robot(name):
+    """The Robot of a description that comes with the project, or of a file."""
     path = pathlib.Path(name)
     if path.suffix != ".toml":
-        if name not in robot_names():
-            cure = _CURES.get(path.suffix.lower(), "")
-            raise UsageError(
-                f"Unknown robot {shown_path(name)}. Choose one of {', '.join(robot_names())}, or a .toml file.{cure}"
-            )
         path = assets.path("robots", f"{name}.toml")
     try:
         if not path.is_file():
@@ -397,6 +401,7 @@ def load_robot(name):
         raise UsageError(f"Can't read the robot {shown_path(name)}: {error.strerror}.") from None
 
 
+ROBOTS: Kind["Robot"] = Kind("robot", shipped=robot_names, read=_read_robot, files=(".toml",))
 _EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
 _CURES = {
     ".xacro": _EXPAND,

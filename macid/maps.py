@@ -13,6 +13,7 @@ from macid import assets, cover, geometry, occupancy
 from macid.documents import number, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.layout import Layout, load_layout
+from macid.registry import Kind
 
 MAX_BOXES = 1500  # of an image
 _SUFFIXES = (".toml", ".yaml", ".yml")
@@ -38,17 +39,18 @@ def map_names():
     return sorted(assets.names("maps", ".toml") + assets.names("maps", ".yaml"))
 
 
-def load_map(name):
+def load_map(name: str) -> Layout:
     """The Layout of a map: a name of `map_names()`, a layout's .toml file, or a map_server's .yaml or .yml file.
 
     Raises UsageError, naming the valid choices or what is wrong in the file.
     """
+    return MAPS.load(name)
+
+
+def _load(name):
+    """The Layout of a map that comes with the project, or of a file."""
     path = pathlib.Path(name)
     if path.suffix not in _SUFFIXES:
-        if name not in map_names():
-            raise UsageError(
-                f"Unknown map {shown_path(name)}. Choose one of {', '.join(map_names())}, or a .toml, .yaml or .yml file."
-            )
         suffix = ".toml" if name in assets.names("maps", ".toml") else ".yaml"
         path = assets.path("maps", f"{name}{suffix}")
     try:
@@ -58,6 +60,9 @@ def load_map(name):
         return _read(path, _changed(path))
     except (OSError, UnicodeError) as error:
         raise UsageError(f"Can't read the map {shown_path(name)}: {getattr(error, 'strerror', error)}.") from None
+
+
+MAPS: Kind[Layout] = Kind("map", shipped=map_names, read=_load, files=_SUFFIXES)
 
 
 def _changed(path):

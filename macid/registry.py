@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from macid.documents import shown
+from macid.documents import shown, shown_path
 from macid.files import UsageError
 
 T = TypeVar("T")
@@ -40,6 +40,7 @@ class Kind(Generic[T]):
     what: str  #: as messages call it: "pedestrian model"
     built_in: Mapping[str, Any] = dataclasses.field(default_factory=dict)  #: {name: the object, or "module:attribute"}
     shipped: Callable[[], Sequence[str]] = tuple  #: names of data files that come with the project
+    listed: Callable[[], Sequence[str]] | None = None  #: the names that messages list; None: all
     read: Callable[[str], T] | None = None  #: a shipped name, or a data file, to the object
     files: tuple[str, ...] = ()  #: endings of data files
     own: str = "attribute"  #: what `module:...` names: "function", "class"
@@ -49,8 +50,8 @@ class Kind(Generic[T]):
     failed: type[Exception] = Failed  #: that failing code of somebody's own raises
 
     def names(self) -> list[str]:
-        """The names that come with the project: built-in ones in their order, then shipped files."""
-        return [*self.built_in, *self.shipped()]
+        """The names that come with the project, for messages and lists."""
+        return list(self.listed()) if self.listed else [*self.built_in, *self.shipped()]
 
     @property
     def help(self) -> str:
@@ -99,7 +100,7 @@ class Kind(Generic[T]):
         return found if self.check is None else self.check(found, name)
 
     def _called(self, name):
-        return f"{self.what[0].upper()}{self.what[1:]} {shown(name)}"
+        return f"{self.what[0].upper()}{self.what[1:]} {shown_path(name)}"
 
     @contextlib.contextmanager
     def running(self, name: str, doing: str) -> Iterator[None]:
@@ -145,6 +146,15 @@ class Kind(Generic[T]):
             told = ", ".join(there[:_SHOWN]) or "no callables"
             raise self.error(f"{self._called(name)}: no '{attribute}' there. There are: {told}{more}.")
         return found
+
+
+def code_file(name: str) -> pathlib.Path | None:
+    """The file of the code that `module:attribute` or `file.py[:attribute]` names, once loaded; None for other names."""
+    module, colon, _ = name.rpartition(":") if ":" in name else (name, "", "")
+    if module.endswith(".py"):
+        return pathlib.Path(module)
+    file = getattr(sys.modules.get(module), "__file__", None) if colon else None  # compiled modules may have none
+    return pathlib.Path(file) if file else None
 
 
 def raised(error: BaseException, ours: Sequence[str] = ()) -> str:

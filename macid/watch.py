@@ -17,7 +17,7 @@ from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, 
 from macid.evaluate import level_name, level_seed
 from macid.files import UsageError
 from macid.layout import WALL_THICKNESS, Layout, load_level
-from macid.pedestrians import MODELS, make_controller
+from macid.pedestrians import is_learned, make_controller
 from macid.state import GOAL_RADIUS, RADIUS
 
 FPS = 25
@@ -71,7 +71,7 @@ class Recording:
     @property
     def colours(self):
         """RGB (K, 3) in [0, 1]: of the LCFs, or one for all where a rule has no use for them."""
-        return np.tile(_RULE_RGB, (len(self.lcf), 1)) if self.pedestrian in MODELS else lcf_colour(self.lcf)
+        return lcf_colour(self.lcf) if is_learned(self.pedestrian) else np.tile(_RULE_RGB, (len(self.lcf), 1))
 
     def at(self, time):
         """The Moment at `time` [s], people's places interpolated between decisions."""
@@ -153,7 +153,7 @@ class Film(drawing.Stage):
         self._draw_eye_view(page, time, moment)
         low, high = recording.lcf_range
         title = f"{recording.pedestrian} on {level_name(recording.level)}: {len(recording.lcf)} people"
-        if recording.pedestrian not in MODELS:
+        if is_learned(recording.pedestrian):
             title += f", LCF {low:.3g}" if low == high else f", LCF {low:.3g} to {high:.3g}"
         notes = [f"seed {recording.seed}"]
         if speed is not None:
@@ -200,7 +200,7 @@ class Film(drawing.Stage):
         self.look([*place, EYE_HEIGHT], forward, np.cross(forward, [*left, 0.0]), half_height)
         self.render(page, _EYE)
         label = f"What person {person} sees"
-        if recording.pedestrian not in MODELS:
+        if is_learned(recording.pedestrian):
             label += f" (LCF {recording.lcf[person]:.2f})"
         if not moment.walking[person]:
             label = "Everybody has arrived"
@@ -278,7 +278,7 @@ class Film(drawing.Stage):
             self.write_reading(page, (left + 14 * unit + x * width, top + 22 * unit), name, value)
         left, top, width, _ = self.rect(_LEGEND)
         x0, x1 = round(left + 14 * unit), round(left + width - 14 * unit)
-        if recording.pedestrian in MODELS:
+        if not is_learned(recording.pedestrian):
             note = f"'{recording.pedestrian}' is a rule without LCFs: everybody has one colour."
             drawing.write(page, note, (x0, top + 36 * unit), 0.44 * unit, MUTED)
         else:

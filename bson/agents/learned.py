@@ -141,7 +141,7 @@ def _shown(value):
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-class _Factory:
+class Factory:
     """The AgentFactory of the policy `name` with `layers` and `recipe`, of the file `path`."""
 
     track, sensor, takes_setting = Learned.track, Learned.sensor, True
@@ -188,4 +188,4 @@ def load(name, untrained=False):
     for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:
             raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
-    return _Factory(name, path, layers, recipe, untrained)
+    return Factory(name, path, layers, recipe, untrained)

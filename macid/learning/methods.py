@@ -9,6 +9,9 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
+from macid.documents import shown
+from macid.files import UsageError
+from macid.registry import Kind
 from macid.reward import neighborhood_mean, neighbors
 
 
@@ -90,8 +93,15 @@ METHODS = {
 }
 
 
-def get_method(name):
-    """The method `name`. Raises ValueError, naming the valid ones."""
-    if name not in METHODS:
-        raise ValueError(f"Unknown method '{name}'. Choose one of {', '.join(METHODS)}.")
-    return METHODS[name]
+def _own(found, name):
+    if not isinstance(found, Method):
+        raise UsageError(f"Method '{name}' must be a macid.learning.methods.Method, not {shown(found)}.")
+    return found
+
+
+KIND: Kind[Method] = Kind("method", METHODS, own="method", check=_own)
+
+
+def get_method(name: str) -> Method:
+    """The method `name`: one of METHODS, or one's own Method, `module:method` or `file.py:method`. Raises UsageError."""
+    return KIND.load(name)
