@@ -128,7 +128,7 @@ class Kind(Generic[T]):
     def _from_file(self, path, attribute, name):
         if not pathlib.Path(path).is_file():
             raise self.error(f"{self._called(name)}: there is no file {shown(path)}. {self.help}")
-        spec = importlib.util.spec_from_file_location(f"own_{pathlib.Path(path).stem}", path)
+        spec = importlib.util.spec_from_file_location(own_module(path), path)
         module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
         folder = str(pathlib.Path(path).resolve().parent)
         if folder not in sys.path:  # for what lies beside the file
@@ -148,12 +148,18 @@ class Kind(Generic[T]):
         return found
 
 
-def code_file(name: str) -> pathlib.Path | None:
-    """The file of the code that `module:attribute` or `file.py[:attribute]` names, once loaded; None for other names."""
+def own_module(name: str) -> str:
+    """The name in sys.modules of the module that `module:attribute` or `file.py[:attribute]` names, once it is loaded; "" for
+    other names."""
     module, colon, _ = name.rpartition(":") if ":" in name else (name, "", "")
     if module.endswith(".py"):
-        return pathlib.Path(module)
-    file = getattr(sys.modules.get(module), "__file__", None) if colon else None  # compiled modules may have none
+        return f"own_{pathlib.Path(module).stem}"
+    return module if colon else ""
+
+
+def code_file(name: str) -> pathlib.Path | None:
+    """The file of somebody's own code `name`, once loaded; None for other names, and for compiled code."""
+    file = getattr(sys.modules.get(own_module(name)), "__file__", None)
     return pathlib.Path(file) if file else None
 
 

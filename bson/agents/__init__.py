@@ -10,6 +10,7 @@ tensor, which is detached from its gradient and brought to the CPU.
 """
 
 import inspect
+from typing import Any
 
 from bson.agents import learned
 from bson.agents.contract import (
@@ -40,6 +41,7 @@ __all__ = [
     "Setting",
     "Unsuited",
     "act",
+    "agent_label",
     "agent_names",
     "check_settings",
     "load_agent",
@@ -67,19 +69,29 @@ def agent_names():
     return [*BUILT_IN, *learned.names()]
 
 
-def load_agent(name: str, untrained: bool = False) -> AgentFactory:
+def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given),
-    or a trained one's file .npz.
+    or a trained one's file .npz; or the agent itself, a function or a class.
 
     Returns a factory: called with a Setting (without: the default one), it gives a callable for one world; its `track`
     and `sensor` name what the agent wants to be given (attributes of the agent; "local" and "lidar2d" without). The
     factory raises Unsuited where the agent can't drive in that setting. untrained: whether a trained one may drive in
     another setting than it was trained in. Raises AgentError.
     """
+    if not isinstance(name, str):
+        return _Factory(name, agent_label(name))
     if name in BUILT_IN:
         return _Factory(AGENTS.load(name), name)
     found = AGENTS.load(name)
     return learned.load(name, True) if untrained and isinstance(found, learned.Factory) else found
+
+
+def agent_label(agent: Any) -> str:
+    """What tables call an agent: its name, of a function or a class module:name, or what it is of."""
+    if isinstance(agent, str):
+        return agent
+    kind = agent if hasattr(agent, "__qualname__") else type(agent)
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def _own(found, name):

@@ -6,6 +6,7 @@ import functools
 import pathlib
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from tqdm import tqdm
 from bson.agents import learned
 from bson.agents.contract import Setting
 from bson.evaluate import run_episodes, sound, versions
+from bson.evaluation.executors import carried_agent, carried_code, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
@@ -24,7 +26,8 @@ from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import start
-from macid.documents import read_document
+from macid.documents import read_document, shown
+from macid.executors import Carried
 from macid.files import UsageError, lock_folder
 from macid.learning.curves import (
     CHECKPOINT,
@@ -39,7 +42,9 @@ from macid.learning.curves import (
     write_checkpoint,
     write_curve,
 )
+from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES, write_network
+from macid.registry import Kind, own_module
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
@@ -54,6 +59,29 @@ PRESETS = {
         "bc": BcConfig(hidden=(1024, 1024), final_learning_rate=1e-3),
     },
 }
+
+
+def _own(found, name):
+    """Somebody's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3 model;
+    `export(model)`, if there is one, gives layers and output as algorithms.export does."""
+    with KIND.running(name, "making one"):
+        found = found() if isinstance(found, type) else found
+    if not (dataclasses.is_dataclass(found) and callable(getattr(found, "build", None))):
+        raise UsageError(f"Algorithm '{name}' must be a dataclass with a method build(env, seed), not {shown(found)}.")
+    return found
+
+
+KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
+
+
+def hyperparameters(algo: str, preset: str = "fast") -> Any:
+    """The configuration of the algorithm `algo` in a preset; one's own algorithm has it the same in all. Raises UsageError,
+    naming the valid choices."""
+    if preset not in PRESETS:
+        raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
+    return PRESETS[preset].get(algo) or KIND.load(algo)
+
+
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
 _VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
 _RECENT = 100  # ended episodes over which the curve's means go
@@ -71,11 +99,10 @@ class TrainConfig:
     num_envs: int = 16
     validate_every: int = 100_000  # steps; the policy that scores best is the one that is kept
     validate_episodes: int = 64
-    hyperparameters: PpoConfig | SacConfig | BcConfig | None = None  # default: the algorithm's
+    hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or one's own; default: the algorithm's
 
     def __post_init__(self):
-        if self.algo not in ALGORITHMS:
-            raise ValueError(f"Unknown algorithm '{self.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
+        found = KIND.load(self.algo)
         for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
@@ -83,7 +110,7 @@ class TrainConfig:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
         self.setting  # raises what is wrong with the task
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", ALGORITHMS[self.algo])
+            object.__setattr__(self, "hyperparameters", found)
 
     @property
     def setting(self):
@@ -94,10 +121,11 @@ class TrainConfig:
     def name(self):
         """The algorithm, its preset where that is not the default, and among whom where these are not the default
         pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
-        paper, model = PRESETS["paper"][self.algo], self.task.get("pedestrian_model")
+        paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
             paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
-        parts = [self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        own = own_module(self.algo).removeprefix("own_").rpartition(".")[2]
+        parts = [own or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 
@@ -226,10 +254,14 @@ def _save_checkpoint(model, keeper):
 def _validate(model, keeper, interrupted):
     """Scores of the model's policy now, see `_Keeper.validate`. Ctrl-C leaves a checkpoint, which goes on with this."""
     try:
-        return keeper.validate(*export(model), model.num_timesteps, interrupted)
+        return keeper.validate(*_export(keeper.config, model), model.num_timesteps, interrupted)
     except KeyboardInterrupt:
         _save_checkpoint(model, keeper)
         raise
+
+
+def _export(config, model):
+    return getattr(config.hyperparameters, "export", export)(model)
 
 
 def _env(config, steps=0):
@@ -245,7 +277,7 @@ def _restored(keeper):
     found, noted = saved
     model = config.hyperparameters.build(_env(config, noted["steps"]), config.seed)
     try:
-        keeper.restore(checkpoint.restore(model, found, noted, export(model)[0]))
+        keeper.restore(checkpoint.restore(model, found, noted, _export(config, model)[0]))
     except ValueError as error:
         raise damaged(keeper.folder / CHECKPOINT, error) from None
     return model
@@ -300,10 +332,10 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
-    model = None if config.algo == "bc" else _restored(keeper)
+    model = None if isinstance(config.hyperparameters, BcConfig) else _restored(keeper)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
-    if config.algo == "bc":
+    if isinstance(config.hyperparameters, BcConfig):
         return _train_bc(config, keeper, show)
     resumed = model is not None
     if resumed:
@@ -342,6 +374,36 @@ def train_with_bar(config, out, resume=False, tensorboard=False):
         finally:
             if bar.n:  # tqdm does not end the line of a bar that was only refreshed
                 print(file=sys.stderr)
+
+
+def train_apart(executor, configs, out, resume=False):
+    """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
+    `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
+    carried, done = Carried(), {}
+    for config in configs:
+        carried += carried_task(config.setting) + carried_code(config.algo)
+        expert = getattr(config.hyperparameters, "expert", "")
+        carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
+    with tqdm(
+        total=sum(config.steps for config in configs), unit="step", unit_scale=True, desc=configs[0].name, file=sys.stderr
+    ) as bar:
+
+        def show(config, steps, figures, validation=False):
+            done[folder_of(config)] = min(steps, config.steps)
+            bar.n = sum(done.values())
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{folder_of(config)}: {steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text, refresh=True)
+
+        groups = [Group(_train_here, (config,)) for config in configs]
+        return train_groups(executor, groups, out, resume, show, is_done, carried)
+
+
+def _train_here(configs, out, show):
+    """The `train` of a Group (macid.learning.jobs)."""
+    for config in configs:
+        train(config, out, resume=True, show=show)
 
 
 def _train_bc(config, keeper, show):
