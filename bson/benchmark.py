@@ -47,6 +47,7 @@ def evaluate(
     overrides: dict[str, Any] | None = None,
     untrained: bool = False,
     paired: bool = False,
+    metrics: Sequence[str] = (),
     videos: int = 2,
     resume: bool = False,
     executor: str | Executor = "local",
@@ -62,7 +63,8 @@ def evaluate(
     (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
     episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
     track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
-    are changed. paired: also plays each episode without the robot. videos: how many films. resume: goes on with what
+    are changed. paired: also plays each episode without the robot. metrics: of one's own, each `module:function` or
+    `file.py:function` (see bson.metrics). videos: how many films. resume: goes on with what
     was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. command: what
     `results.json` says that it was made by. told: called with the Results once these are written, before anything is
     filmed. quiet: no progress on stderr.
@@ -73,12 +75,14 @@ def evaluate(
     from bson.agents import agent_label, check_settings, load_agent
     from bson.evaluate import results, sound
     from bson.evaluation.executors import play_cells
+    from bson.metrics import own_metrics
     from bson.report import make_report
     from bson.resume import Unfinished, basis, files_digest
     from bson.suites import load_suite
     from bson.tracks import make_track, sensor_label, sensor_settings
 
     name, changes = agent_label(agent), overrides or {}
+    own = own_metrics(metrics)
     if resume and out is None:
         raise UsageError("resume goes on with what is in the folder `out`: give it.")
     chosen = load_suite(suite)
@@ -121,6 +125,7 @@ def evaluate(
             chosen.name,
             cells,
             played,
+            own,
             suite_digest=chosen.digest if not changes else None,
             task_digest=files_digest(follows_from),
             track=[wanted[0], sensor_label(wanted[1])],

@@ -107,6 +107,7 @@ def _evaluate(args):
         overrides=_overrides(args.set),
         untrained=args.untrained_setting,
         paired=args.paired,
+        metrics=args.metric,
         videos=args.videos,
         resume=args.resume,
         executor=args.executor,
@@ -248,17 +249,17 @@ def _doctor(args):
 
 def _list(args):
     from bson import ENVIRONMENTS
-    from bson.agents import agent_names
-    from bson.robot import robot_names
+    from bson.registry import KINDS, kind
     from bson.suites import load_suite, suite_names
-    from macid.maps import map_names
-    from macid.pedestrians import model_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
-    print("agents        " + ", ".join(agent_names()) + ", or module:function, file.py[:function], policy.npz")
-    print("pedestrians   " + ", ".join(model_names()))
-    print("maps          " + ", ".join(map_names()) + ", or a .toml or .yaml file (--set map=NAME)")
-    print("robots        " + ", ".join(robot_names()) + ", or a .toml file (--set robot=NAME)")
+    for what, (_, given) in KINDS.items():
+        try:
+            found = kind(what)
+        except ModuleNotFoundError as error:
+            print(f"{what:<13} need {error.name}: pip install 'bson-macid[agents]'")
+            continue
+        print(f"{what:<13} {', '.join(found.names())}{found.forms and f', or {found.forms}'} ({given})")
     for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
         print(f"suite         {suite.name}: {suite.description} ({count} seeds)")
@@ -301,6 +302,13 @@ def _add_evaluation(command, out, suite):
         default=2,
         help="films, from the worst episode to the best; of several cells the worst episodes of this many worst cells, "
         "and the best of the best",
+    )
+    command.add_argument(
+        "--metric",
+        type=name,
+        action="append",
+        default=[],
+        help="a metric of your own, module:function or file.py:function of an Episode; may be repeated",
     )
     command.add_argument(
         "--paired",

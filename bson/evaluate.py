@@ -9,7 +9,7 @@ import numpy as np
 from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
-from bson.metrics import METRICS, measure, summarise
+from bson.metrics import METRICS, measure, metrics_of, summarise
 from bson.simulation.world import World
 from macid import files
 
@@ -90,10 +90,10 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
     return paired
 
 
-def results(agent, suite, cells, played, **more):
+def results(agent, suite, cells, played, own=(), **more):
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
-    played: the Episodes of each of `cells`. summary: means over the episodes in which a metric is finite; counts: how
+    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a metric is finite; counts: how
     many these are; metrics: what each is; cells: a summary of each; config, people: the first cell's; faults: the
     episodes in which physics failed, with the last time [s] at which it had not: these are counted nowhere else. Raises
     ValueError where no other is left.
@@ -107,7 +107,8 @@ def results(agent, suite, cells, played, **more):
     played = [sound(episodes) for episodes in played]
     if not any(played):
         raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
-    measured = [[measure(episode) for episode in episodes] for episodes in played]
+    metrics = (*METRICS, *own)
+    measured = [[measure(episode, metrics) for episode in episodes] for episodes in played]
     summaries = [_summary(rows) for rows in measured]
     return {
         "agent": agent,
@@ -118,7 +119,7 @@ def results(agent, suite, cells, played, **more):
         **(summaries[0] if len(cells) == 1 else _summary(list(itertools.chain(*measured)))),
         "metrics": {
             metric.name: {"unit": metric.unit, "better": metric.better or "neither", "what": metric.what}
-            for metric in METRICS
+            for metric in metrics
         },
         "cells": [
             {
@@ -186,7 +187,7 @@ def format_summary(content):
         f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"
     ]
     group = None
-    for metric in METRICS:
+    for metric in metrics_of(content):
         if metric.minor or metric.name not in content["summary"]:
             continue
         if metric.group != group:

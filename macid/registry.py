@@ -54,16 +54,24 @@ class Kind(Generic[T]):
         return list(self.listed()) if self.listed else [*self.built_in, *self.shipped()]
 
     @property
-    def help(self) -> str:
-        """What may be given, as a sentence."""
-        words = [f"one of {', '.join(self.names())}"] if self.names() else []
+    def forms(self) -> str:
+        """What may be given beside the names: "a 'module:function', or a .npz file"; "" where that is nothing."""
+        words = []
         if self.check is not None or self.attribute:
             attribute = f"[:{self.own}]" if self.attribute else f":{self.own}"
-            words += [f"a 'module:{self.own}'", f"a file '{(self.what.split() or ['my'])[-1]}.py{attribute}'"]
+            words += [f"a 'module:{self.own}'", f"a file '{self.what.split()[-1]}.py{attribute}'"]
         if self.files:
-            words.append(f"a {', '.join(self.files[:-1])}{' or ' if self.files[1:] else ''}{self.files[-1]} file")
-        *most, last = words
-        return f"Choose {', '.join(most)}, or {last}." if most else f"Choose {last}."
+            *most, last = self.files
+            words.append(f"a {', '.join(most)}{' or ' if most else ''}{last} file")
+        *most, last = words or [""]
+        return f"{', '.join(most)}, or {last}" if most else last
+
+    @property
+    def help(self) -> str:
+        """What may be given, as a sentence."""
+        named = f"one of {', '.join(self.names())}" if self.names() else ""
+        between = "" if not (named and self.forms) else ", " if ", or " in self.forms else ", or "
+        return f"Choose {named}{between}{self.forms}."
 
     def unknown(self, name: Any) -> Exception:
         """The error that `name` is none of these."""
