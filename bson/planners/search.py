@@ -43,8 +43,8 @@ def astar(grid, rate, start, goal, rng, config, known):
 def _search(grid, rate, start, goal, weight):
     """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for those of theirs.
 
-    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic, the
-    octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
+    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic,
+    the octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
     """
     number, moves = grid.moves
     rows, columns = np.nonzero(~grid.occupied)

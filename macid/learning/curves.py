@@ -61,19 +61,19 @@ def training_folder(path, config, resume):
 
 
 def read_config(folder):
-    """config.json of the training in `folder`, a dict. Raises UsageError, which says what to do, where it is damaged."""
+    """config.json of the training in `folder`, a dict. Where it is damaged, UsageError says what to do."""
     try:
         return read_document(folder / "config.json", dict, "configuration")
     except UsageError as error:
         raise UsageError(
-            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or use "
-            "another --out."
+            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or "
+            "use another --out."
         ) from None
 
 
 def write_checkpoint(folder, found, noted):
-    """Writes the checkpoint of the training in `folder`, all or nothing: arrays `found`, {name: array}, and `noted`, what
-    JSON has."""
+    """Writes the checkpoint of the training in `folder`, all or nothing: arrays `found`, {name: array}, and `noted`,
+    what JSON has."""
     write_bytes(pathlib.Path(folder) / CHECKPOINT, arrays.pack(found, {_NOTED: noted}))
 
 
