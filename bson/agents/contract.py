@@ -196,7 +196,8 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
             raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error
         raise AgentError(
             f"Agent '{name}' asks for observation[{error}], which its track and sensor don't give. There are: "
-            f"{', '.join(observation)}. Choose others by --track and --sensor, or the agent's attributes track and sensor."
+            f"{', '.join(observation)}. Choose others by --track and --sensor, or the agent's attributes track and "
+            "sensor."
         ) from error
     except (Exception, SystemExit) as error:
         raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error

@@ -96,8 +96,8 @@ def _lidar(setting):
 
 
 def _trained(recipe, path):
-    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its policy
-    was trained with the default sensors. Raises UsageError."""
+    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its
+    policy was trained with the default sensors. Raises UsageError."""
     called = f"the policy's recipe '{path.with_suffix('.json')}'"
     if "setting" in recipe:
         trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")
@@ -175,15 +175,16 @@ class Factory:
 def load(name, untrained=False):
     """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none.
 
-    The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with, unless
-    `untrained`.
+    The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with,
+    unless `untrained`.
     """
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
     layers, recipe = read_network(path)
     output = recipe.get("output")
     if not isinstance(output, str) or output not in _OUTPUTS:
         raise UsageError(
-            f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of {', '.join(_OUTPUTS)}."
+            f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of "
+            f"{', '.join(_OUTPUTS)}."
         )
     for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:

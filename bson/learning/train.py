@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
-from bson.agents.contract import Setting
+from bson.agents.contract import Setting, Unsuited
 from bson.evaluate import run_episodes, sound, versions
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
 from bson.learning import checkpoint
@@ -322,6 +322,8 @@ def train(
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
+    if config.algo == "bc" and not is_done(config, path):
+        _expert(config)  # refused before anything is made
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -406,6 +408,17 @@ def _train_here(configs, out, show):
         train(config, out, resume=True, show=show)
 
 
+def _expert(config):
+    """The factory of BC's expert. Raises UsageError where it was trained in another setting than `config`'s."""
+    expert = learned.load(config.hyperparameters.expert)
+    try:
+        expert(Setting.of(config.setting, _TRACK))
+    except Unsuited as error:
+        told = str(error).partition(";")[0]
+        raise UsageError(f"{told}: BC needs an expert of its setting (in Python: BcConfig(expert=FILE)).") from None
+    return expert
+
+
 def _train_bc(config, keeper, show):
     hyperparameters, steps = config.hyperparameters, 0
 
@@ -415,7 +428,7 @@ def _train_bc(config, keeper, show):
         if steps % (100 * more) == 0:
             show(min(steps, config.steps), {})
 
-    expert = learned.load(hyperparameters.expert)
+    expert = _expert(config)
     seed = 1_000_000 * (config.seed + 1)
     episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
     x, action = select(episodes, hyperparameters.keep)
