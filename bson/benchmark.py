@@ -279,6 +279,40 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
     return content
 
 
+def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str | pathlib.Path | None = None) -> str:
+    """A metric over the cells of a suite, as the report has the SNS: an HTML page.
+
+    results: as of `compare`, one. metric: a name of bson.metrics.METRICS. out: an .html file for it. Raises UsageError
+    where the suite has one cell only, or the metric is unknown.
+    """
+    from bson.heatmap import Scale, Tile, cell_maps
+    from bson.metrics import METRICS
+    from bson.page import render
+
+    found, known = _loaded(results), {one.name: one for one in METRICS}
+    cells = found.content["cells"]
+    if metric not in known:
+        raise UsageError(f"Unknown metric '{metric}'. Choose one of {', '.join(known)}.")
+    if len(cells) < 2:
+        raise UsageError(
+            f"The results of '{found.agent}' on '{found.suite}' have one cell only: there is nothing to map."
+        )
+    tiles = [
+        Tile(cell["grades"], cell["summary"].get(metric), *cell["intervals"].get(metric, (None, None)))
+        for cell in cells
+    ]
+    values = [end for tile in tiles if tile.value is not None for end in (tile.low, tile.high)]
+    share = known[metric].unit == "share" or metric in ("RC", "SP", "PE", "SPL")
+    most = 100.0 if metric == "SNS" else 1.0 if share else max([*values, 1e-9])
+    scale = Scale(min([0.0, *values]), max([most, *values]), known[metric].better or "up")
+    drawn = cell_maps(tiles, scale, metric, f"{known[metric].unit} {known[metric].better}".strip())
+    title = f"{metric} of {found.agent} on {found.suite}"
+    page = render("cells.html", title=title, what=known[metric].what, axes=len(cells[0]["grades"]), map=drawn)
+    if out is not None:
+        write_bytes(check_file(out), page.encode())
+    return page
+
+
 def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 

@@ -83,8 +83,8 @@ class Content(msgspec.Struct):
 class Results:
     """What an evaluation gave. E episodes were scored, in the order of cells and seeds.
 
-    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was not saved.
-    written: the files that the evaluation has written, the films last.
+    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was
+    not saved. written: the files that the evaluation has written, the films last.
     """
 
     content: dict[str, Any] = dataclasses.field(repr=False)
@@ -159,6 +159,11 @@ class Results:
         """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it
         hasn't."""
         return {name: self.metrics[metric][self.cell == name] for name in self.cells}
+
+    def cell_means(self, metric: str) -> np.ndarray:
+        """(cells,) float64, the mean of `metric` in each cell over the episodes in which it is finite; NaN where it is
+        in none."""
+        return np.array([cell.get("summary", {}).get(metric, math.nan) for cell in self.content["cells"]], dtype=float)
 
 
 def _value(number):

@@ -53,7 +53,7 @@ BSON = {
     "evaluate": {
         "--agent": ["stop", "goal", "good.py"], "--track": ["local", "global"], "--sensor": ["lidar2d"],
         "--suite": ["smoke"], "--episodes": ["1"], "--seed": ["0", "3"], "--videos": ["0"], "--out": ["out", "new/out"],
-        "--resume": None,
+        "--resume": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"],
     },
     "render": {"--agent": ["stop"], "--seed": ["0"], "--step": ["0", "-1"], "--out": ["a.png", "b.gif"]},
     "export": {"--track": ["global"], "--sensor": ["camera"], "--seed": ["0"], "--suite": ["smoke"], "--cell": ["all"],
@@ -77,7 +77,7 @@ MACID = {
                "--out": ["out", "new/out"]},
     "train": {"--method": ["macid", "ipo"], "--engine": ["native"], "--level": ["1"], "--seed": ["0"], "--seeds": ["2"],
               "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"], "--out": ["runs"],
-              "--resume": None, "--tensorboard": None},
+              "--resume": None, "--tensorboard": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"]},
     "bench": {"--levels": ["1"], "--worlds": ["1"], "--seconds": ["0.1"], "--out": ["b.json"], "--preset": ["fast"]},
     "nothing": {},
 }  # fmt: skip
