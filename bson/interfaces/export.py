@@ -7,9 +7,11 @@ import mujoco
 import numpy as np
 
 from bson import robot
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.scene import build_spec
+from bson.simulation.world import World
 from bson.task import TaskConfig
 from bson.tracks import GlobalTrack, LocalTrack, sensor_documents
-from bson.world import MAP_RESOLUTION, World, build_spec
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion

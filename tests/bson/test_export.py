@@ -15,10 +15,10 @@ import pytest
 from bson import cli
 from bson.interfaces.export import export
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
+from bson.simulation.world import World
 from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
-from bson.world import World
 from macid.drawing import gl_problem, lcf_colour
 
 draws = gl_problem() is None
@@ -89,7 +89,7 @@ def test_what_mujoco_alone_reads_and_where_it_drives_are_what_the_project_does(e
     controls, way = [], []
     for step in range(STEPS):
         world.step([0], np.array([[1.5, math.sin(step)]]))
-        controls.append(world.batch.bind("ctrl")[0].copy())
+        controls.append(world.engine.ctrl[0].copy())
         way.append(world.qpos[0].copy())
     found = replay(folder, controls, tmp_path)
     np.testing.assert_array_equal(found["start"], start)
