@@ -33,7 +33,10 @@ _KINDS = (  # of elements whose values may be a class's
     *("bodies", "joints", "geoms", "sites", "cameras", "lights", "materials", "meshes", "textures"),
     *("actuators", "tendons", "equalities", "pairs"),
 )
-_UNWRITTEN = ("site_size", "paths", "mesh_pathadr", "tex_pathadr", "hfield_pathadr", "skin_pathadr")  # and without effect
+_UNWRITTEN = (  # without effect: sizes that a shape does not have (others are in geom_aabb), and where files are
+    *("site_size", "geom_size"),
+    *("paths", "mesh_pathadr", "tex_pathadr", "hfield_pathadr", "skin_pathadr"),
+)
 _FILES = {"mesh": "meshdir", "hfield": "meshdir", "texture": "texturedir"}  # elements that name files, and where they are
 
 
@@ -73,7 +76,7 @@ def differences(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
     found = []
     for field in dir(model):
         value, its = (getattr(each, field) for each in (model, other))
-        if isinstance(value, np.ndarray) and field not in _UNWRITTEN:
+        if isinstance(value, np.ndarray) and field not in _UNWRITTEN and not field.startswith("_"):
             same = value.shape == its.shape and np.allclose(value, its, rtol=1e-12, atol=1e-12, equal_nan=True)
             found += [] if same else [field]
     return found
@@ -124,11 +127,11 @@ def stand_at(spec: mujoco.MjSpec, people, lcf) -> None:
         spec.body(name).pos = [x, y, HEIGHT / 2]
         spec.body(name).quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         spec.geom(f"{name}/cylinder").rgba = [*colour, 1.0]
-        for axis, place, direction in (("x", x, [1.0, 0.0]), ("y", y, [0.0, 1.0]), ("yaw", yaw, None)):
+        spec.joint(f"{name}/yaw").ref = np.rad2deg(yaw) if spec.compiler.degree else yaw
+        for axis, place, direction in (("x", x, [1.0, 0.0]), ("y", y, [0.0, 1.0])):
             joint = spec.joint(f"{name}/{axis}")
             joint.ref = place
-            if direction is not None:  # of the world, in the frame of the turned body
-                joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]
+            joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]  # the world's, in the turned body's frame
 
 
 def people_notes(people, goals, lcf) -> dict:

@@ -89,7 +89,6 @@ def _mount(scene, sensors):
     look = scene.visual
     # As bson's cameras draw: a pixel is the ray through its middle, and there are no shadows.
     look.quality.offsamples, look.quality.shadowsize, look.quality.numquads, look.quality.numstacks = 0, 0, 1, 2
-    look.rgba.rangefinder = [0, 0, 0, 0]  # MuJoCo would draw the beams into pictures
     for camera in scene.cameras:
         width, height = camera.resolution
         look.global_.offwidth = max(look.global_.offwidth, int(width))
@@ -170,6 +169,10 @@ mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
 mujoco.mj_forward(model, data)  # makes sensordata current
 
 
+unmarked = mujoco.MjvOption()  # MuJoCo would draw the beams of rangefinders into pictures
+unmarked.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
+
+
 def read():
     reading = {{}}
 {reading}    return reading
@@ -211,14 +214,14 @@ _READING = {
     "picture": """\
     of = episode["readings"]["{key}"]
     with mujoco.Renderer(model, of["height"], of["width"]) as renderer:  # needs OpenGL: without a display, MUJOCO_GL=egl
-        renderer.update_scene(data, of["camera"])
+        renderer.update_scene(data, of["camera"], unmarked)
         reading["{key}"] = renderer.render()
 """,
     "depth": """\
     of = episode["readings"]["{key}"]
     with mujoco.Renderer(model, of["height"], of["width"]) as renderer:
         renderer.enable_depth_rendering()
-        renderer.update_scene(data, of["camera"])
+        renderer.update_scene(data, of["camera"], unmarked)
         reading["{key}"] = renderer.render().clip(of["range_min"], of["range_max"])  # along the optical axis
 """,
 }
