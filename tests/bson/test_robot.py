@@ -11,8 +11,8 @@ import pytest
 from bson import ENVIRONMENTS, robot
 from bson.agents.scripted import goal
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.world import World
 from macid import assets, drawing, geometry
 
 STEP = 0.02  # [s]
@@ -269,9 +269,7 @@ def other(name):
 
 def put(world, pose):
     """The robot of world 0 to `pose`, at rest."""
-    world._qpos[0, world._robot_qpos] = robot.spawn_qpos(*pose, world.config.robot)
-    world._qvel[0] = 0
-    world._sense(np.array([0]))
+    world.place([0], pose=[pose])
 
 
 def alone(sensors=(Imu(), Lidar2D(), Lidar3D()), pose=(1.0, 2.0, 0.4), **changes):
