@@ -7,9 +7,12 @@ import mujoco
 import numpy as np
 
 from bson import robot
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.renderer import draw_plainly
+from bson.simulation.scene import build_spec
+from bson.simulation.world import World
 from bson.task import TaskConfig
 from bson.tracks import GlobalTrack, LocalTrack, sensor_documents
-from bson.world import MAP_RESOLUTION, World, build_spec
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion
@@ -87,8 +90,7 @@ def _mount(scene, sensors):
     """Adds to `scene`, in which `sensors` are mounted, what reads as they do: {key: what to know of it}."""
     scene.modelname = "bson"
     look = scene.visual
-    # As bson's cameras draw: a pixel is the ray through its middle, and there are no shadows.
-    look.quality.offsamples, look.quality.shadowsize, look.quality.numquads, look.quality.numstacks = 0, 0, 1, 2
+    draw_plainly(look.quality)
     for camera in scene.cameras:
         width, height = camera.resolution
         look.global_.offwidth = max(look.global_.offwidth, int(width))
