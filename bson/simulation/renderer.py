@@ -10,8 +10,8 @@ from macid import drawing
 
 
 def draw_plainly(quality) -> None:
-    """Sets the visual quality of an MjModel or MjSpec to the cameras': no shadows, and a pixel is the ray through its middle,
-    so that its depth is that of one surface: no samples beside it."""
+    """Sets the visual quality of an MjModel or MjSpec to the cameras': no shadows, and a pixel is the ray through its
+    middle, so that its depth is that of one surface: no samples beside it."""
     quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
 
 
