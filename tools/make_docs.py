@@ -1,11 +1,12 @@
 """Builds a site of the pages and of the API's documentation, with pdoc: tools/make_docs.py FOLDER.
 
 The project's page is index.html, each other page has a file of its own, and each module of `bson` and `macid` has one,
-from its docstrings. Anything that pdoc warns of, and any link that leads nowhere, is an error. Modules that need a package
-which is not installed are left out and named.
+from its docstrings. Anything that pdoc warns of, and any link of a page that leads nowhere, is an error. Modules that
+need a package which is not installed are left out and named.
 """
 
 import argparse
+import contextlib
 import html.parser
 import importlib
 import os
@@ -14,16 +15,15 @@ import pkgutil
 import re
 import shutil
 import sys
+import tempfile
 import types
 import urllib.parse
 import warnings
 
-os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn here
-
-import macid  # noqa: E402
-from macid import command  # noqa: E402
-from macid.command import Parser, check_words  # noqa: E402
-from macid.files import UsageError, output_folder, run_command, write_bytes  # noqa: E402
+import macid
+from macid import command
+from macid.command import Parser, check_words
+from macid.files import UsageError, output_folder, run_command, write_bytes
 
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGES = ("bson", "macid")
@@ -38,11 +38,16 @@ PAGES = {  # file: the site's page, of the package of that name where there is o
     "tests/README.md": "tests",
     "tools/CHANGELOG.md": "changelog",
 }
+STYLE = """
+main img { max-width: 100%; }
+main.pdoc { max-width: 75rem; padding-right: 2rem; }
+.module-info:has(.docstring h1) > .modulename { display: none; }
+"""
 _LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")  # of Markdown, to a file: the path and the place in it
 
 
 def page(file, out):
-    """The text of a page, whose links lead into the site in the folder `out`; other files that it names are copied there."""
+    """A page's text, whose links lead into the site in the folder `out`; other files that it names are copied there."""
 
     def link(match):
         path = pathlib.Path(os.path.normpath((ROOT / file).parent / match[2])).relative_to(ROOT).as_posix()
@@ -88,13 +93,17 @@ class _Places(html.parser.HTMLParser):
 
 
 def broken_links(folder):
-    """Links of the site in `folder` that lead nowhere: ["page.html: target", ...]."""
+    """Links of the PAGES of the site in `folder` that lead nowhere: ["page.html: target", ...].
+
+    Not of modules': there pdoc names what a class has of a private base, which it does not show.
+    """
     places = {}
     for path in folder.rglob("*.html"):
         places[path] = _Places()
         places[path].feed(path.read_text())
     found = []
-    for path, place in sorted(places.items()):
+    for path in (folder / f"{name}.html" for name in PAGES.values()):
+        place = places[path]
         for link in sorted(place.links):
             target, _, anchor = urllib.parse.unquote(link).partition("#")
             there = pathlib.Path(os.path.normpath(path.parent / target)) if target else path
@@ -104,18 +113,25 @@ def broken_links(folder):
 
 
 def build(out):
-    """Writes the site into the folder `out`; returns what is left out. Raises UsageError for what a reader would miss."""
+    """Writes the site into the folder `out`; returns what is left out. Raises UsageError for warnings, broken links."""
     try:
         import pdoc.doc
         import pdoc.render
     except ImportError:
         raise UsageError("The site needs pdoc: pip install -e '.[docs]', or run tools/docs.sh.") from None
+    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn here
     names, left_out = module_names()
-    macid.load_policy = macid.load_policy  # pdoc looks for names in the module alone, and this one comes when it is asked for
-    with warnings.catch_warnings(record=True) as told:
+    macid.load_policy = macid.load_policy  # comes once it is asked for, and pdoc doesn't ask
+    with contextlib.ExitStack() as stack:
+        told = stack.enter_context(warnings.catch_warnings(record=True))
         warnings.simplefilter("always")
-        pdoc.render.configure(docformat="markdown", show_source=False, footer_text="BSON + MAC-ID on MuJoCo")
+        templates = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        (templates / "custom.css").write_text(STYLE)
+        pdoc.render.configure(docformat="markdown", show_source=False, template_directory=templates)
         modules = {name: pdoc.doc.Module.from_name(name) for name in names}
+        for package in PACKAGES:  # all of them, also where __all__ names none
+            below = [module for name, module in modules.items() if name.rpartition(".")[0] == package]
+            modules[package].__dict__["submodules"] = below
         for file, name in PAGES.items():
             if name not in modules:
                 modules[name] = pdoc.doc.Module(types.ModuleType(name))

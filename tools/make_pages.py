@@ -218,8 +218,8 @@ def agent_card(name):
     lines = [
         f"Made by `bson train --algo {recipe['algo']}{preset} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
         f"control steps of 0.1 s among 24 people of `{people}`; networks of ({', '.join(map(str, tuned['hidden']))}). "
-        f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation episodes "
-        f"(SNS {recipe['validation']['SNS']:.1f}).",
+        f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
+        f"episodes (SNS {recipe['validation']['SNS']:.1f}).",
         "",
         tables.text_row(f"suite `{scores['suite']}`", SCORES),
         "|---" * (1 + len(SCORES)) + "|",
