@@ -58,10 +58,11 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
 
 
 def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
-    """`episodes` of one configuration, with what their people would have done without the robot, for as long.
+    """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
-    which people ask for them. Episodes that failed or have their pair stay as they are. progress: as run_episodes'.
+    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called as
+    by `run_episodes`.
     """
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]

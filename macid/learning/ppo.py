@@ -39,10 +39,11 @@ class PpoConfig:
 def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
-    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
-    redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
-    follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
-    arrival: "end" instead of "mean": an episode ends there, and what follows does not count at all.
+    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it. redrawn (T, ...)
+    bool: steps after which the state changes by a draw that no action influences (a new goal). The value of what
+    follows such a step is replaced by its mean over all redrawn steps, so that the decisions before it get no credit
+    for good or bad luck. arrival: "end" instead of "mean": an episode ends at such a step, and what follows does not
+    count at all.
     """
     next_value = jnp.concatenate([value[1:], last_value[None]])
     if redrawn is None:
