@@ -422,7 +422,7 @@ def _answer(program, main):
 
 
 def _told(error):
-    """The message of an error, or its type where it has none."""
+    """An error in words for a user."""
     if isinstance(error, MemoryError):
         return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
     if isinstance(error, OSError) and error.strerror:
