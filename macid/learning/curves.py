@@ -24,14 +24,8 @@ def plain(config):
 
 
 def completed(saved, config):
-<<<<<<< HEAD
     """The configuration `saved`, in the form that `plain` gives; fields that it lacks, since they came later, get their
     defaults. config: a configuration (a dataclass) of the kind."""
-=======
-    """A configuration that was `saved`, as `plain` has it; fields that it lacks, as they came later, at their defaults.
-
-    config: a configuration (a dataclass) of the kind."""
->>>>>>> main
     whole = dict(saved)
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
