@@ -20,8 +20,8 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
-    progress(steps, episode): called after each control step of each world, with 1 and the Episode that ended with it, or
-    None. An episode does not depend on which others run beside it.
+    progress(steps, episode): called after each control step of each world, with 1 and the Episode that ended with it,
+    or None. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
