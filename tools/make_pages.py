@@ -182,17 +182,23 @@ def speed_and_period():
 
 
 def _made(recipe):
-    """What a training was, in one line."""
-    low, high = METHODS[recipe["method"]].lcf
+    """How a training was made, in one line, with its command."""
+    method, period = recipe["method"], recipe["period"]
+    low, high = METHODS[method].lcf
     if "lcf_mean" in recipe:
         lcf = "learned with the policy"
     else:
-        lcf = f"drawn from ({low:.4g}, {high:.4g})" if low < high else "none"
+        lcf = f"drawn from ({low:.4g}, {high:.4g})" if low < high else "0"
+    words = ["macid train --method", method]
+    if found := re.search(r"paper[a-z-]*?(?=-\d|$)", recipe["name"]):
+        words += ["--preset", found[0]]
+    if period != PHYSICS_STEP:
+        words += ["--period", f"{period:g}"]
+    words += ["--agent-steps", f"{recipe['agent_steps_done'] / 1e6:g}e6"]
     ppo = recipe["ppo"]
     return (
-        f"Made by `macid train --method {recipe['method']}` on Lv.{recipe['level']}: "
-        f"{recipe['agent_steps_done'] / 1e6:g} million agent-steps a seed, a decision every {recipe['period']:g} s, "
-        f"lambda {ppo['lam']:g}, batch {ppo['batch']}, {ppo['epochs']} epochs. LCF: {lcf}."
+        f"Made by `{' '.join(words)}` (each seed), on Lv.{recipe['level']}, a decision every {period:g} s, "
+        f"lambda {ppo['lam']:g}, batch {ppo['batch']}, {ppo['epochs']} epochs. LCF in training: {lcf}."
     )
 
 

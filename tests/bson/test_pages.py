@@ -5,6 +5,8 @@ import json
 import pathlib
 import re
 import shlex
+import subprocess
+import sys
 
 import make_pages as pages
 import numpy as np
@@ -16,6 +18,7 @@ from bson.suites import load_suite
 from macid import assets
 from macid import cli as macid_cli
 from macid.layout import LEVELS, OTHER_LEVELS
+from macid.learning.train import preset
 from macid.policy import load_policy, policy_names
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -82,9 +85,22 @@ def test_every_shipped_policy_has_a_card():
         assert f"\n## {name}\n" in told and between("assets/agents/README.md", f"card-{name}")
 
 
+def test_a_cards_command_trains_its_family():
+    for family, members in pages.families().items():
+        (words,) = re.findall(
+            r"Made by `macid ([^`]+)`", "\n".join(between("assets/policies/README.md", f"card-{family}"))
+        )
+        args = macid_cli.parser().parse_args(words.split())
+        config = preset(args.preset, method=args.method, period=args.period, agent_steps=int(args.agent_steps))
+        recipe = load_policy(members[0]).recipe
+        assert (config.name, config.agent_steps) == (family, recipe["agent_steps"])
+        assert config.ppo.lam == recipe["ppo"]["lam"] and config.ppo.batch == recipe["ppo"]["batch"]
+
+
 def test_a_cards_last_row_is_the_tables_row():
     tabled = {row[0]: row[1:] for row in rows(between("macid/README.md", "table2"))}
-    periods = {row[0].partition(", ")[2] + row[0].partition(",")[0]: row[1:] for row in rows(between("macid/README.md", "periods"))}
+    every = rows(between("macid/README.md", "periods"))
+    periods = {row[0].partition(", ")[2] + row[0].partition(",")[0]: row[1:] for row in every}
     for family, members in pages.families().items():
         *_, last = rows(between("assets/policies/README.md", f"card-{family}"))
         period = load_policy(members[0]).recipe["period"]
@@ -98,7 +114,9 @@ def test_a_robots_card_and_the_leaderboard_tell_the_same_score():
     for name in pages.agent_names():
         (found,) = rows(between("assets/agents/README.md", f"card-{name}"))[2:]
         scores = json.loads((ROOT / "assets/agents" / f"{name}.json").read_text())["scores"]
-        np.testing.assert_allclose(numbers(found[1]), [scores["SNS"][key] for key in ("mean", "low", "high")], atol=0.051)
+        np.testing.assert_allclose(
+            numbers(found[1]), [scores["SNS"][key] for key in ("mean", "low", "high")], atol=0.051
+        )
         if name in board:
             assert found[1] == board[name][3], name
 
@@ -201,12 +219,8 @@ def test_figures_are_taken_from_rows_and_results_as_they_are_shipped(tmp_path, m
 @pytest.mark.skipif(not importlib.util.find_spec("pdoc"), reason="needs the extra docs")
 def test_the_site_is_built_without_warnings(tmp_path):
     """In a process of its own, since it imports every module."""
-    import subprocess
-    import sys
-
-    run = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "make_docs.py"), str(tmp_path / "site")], capture_output=True, text=True, cwd=ROOT
-    )
+    command = [sys.executable, str(ROOT / "tools" / "make_docs.py"), str(tmp_path / "site")]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert run.returncode == 0, run.stderr
     assert not [line for line in run.stderr.splitlines() if not line.startswith("left out: ")]
     site = tmp_path / "site"
