@@ -125,6 +125,8 @@ def build(out):
     with contextlib.ExitStack() as stack:
         told = stack.enter_context(warnings.catch_warnings(record=True))
         warnings.simplefilter("always")
+        # Fields of dataclasses.make_dataclass: pdoc looks for them in the source, and its guess (this class) is right.
+        warnings.filterwarnings("ignore", "Cannot determine where")
         templates = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (templates / "custom.css").write_text(STYLE)
         pdoc.render.configure(docformat="markdown", show_source=False, template_directory=templates)
