@@ -316,6 +316,35 @@ def _render(args):
     return 0
 
 
+def _export(args):
+    from bson.interfaces.export import export
+    from bson.task import TaskConfig
+    from bson.tracks import make_track
+
+    config = _cell(args.suite, args.cell) if args.suite or args.cell else TaskConfig()
+    track = make_track(args.track, args.sensor)
+    start.cleaning_up()
+    export(config.replace(**_overrides(args.set)), track, args.seed, args.out, "bson " + shlex.join(args.argv))
+    print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
+    return 0
+
+
+def _cell(suite, cell):
+    """The TaskConfig of the cell named `cell` of the suite named `suite`. Raises UsageError."""
+    from bson.suites import load_suite
+    from macid.documents import shown
+
+    if suite is None:
+        raise UsageError("--cell is one of a suite: give --suite, too.")
+    cells = {one.name: one.config for one in load_suite(suite).cells}
+    if cell is None and len(cells) == 1:
+        return next(iter(cells.values()))
+    if cell not in cells:
+        problem = "needs a --cell" if cell is None else f"has no cell {shown(cell)}"
+        raise UsageError(f"Suite '{suite}' {problem}. Choose one of {', '.join(map(repr, cells))}.")
+    return cells[cell]
+
+
 @contextlib.contextmanager
 def _agents_extra():
     """Tells what to install where the extra `agents` is missing."""
@@ -488,6 +517,18 @@ def parser():
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    export = commands.add_parser(
+        "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
+    )
+    export.number("--seed", int, 0, MOST_SEED, default=0)
+    export.add_argument("--track", type=name, default="local", help="local or global")
+    export.add_argument("--sensor", type=name, default="lidar2d", help="lidar2d, lidar3d or camera")
+    export.add_argument("--suite", type=name, default=None, help="take the task of a suite's cell (bson list)")
+    export.add_argument("--cell", type=name, default=None, help="its name, of a suite with several")
+    _add_task(export)
+    export.add_argument("--out", type=name, required=True, help="folder, new or empty")
+    export.set_defaults(run=_export)
+
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
     train.add_argument("--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
     train.number(
@@ -519,7 +560,7 @@ def parser():
     return root
 
 
-_DRAW_NOTHING = (_compare, _leaderboard, _doctor, _list)
+_DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
 def main(argv=None):

@@ -1,10 +1,12 @@
 """The `macid` command."""
 
 import pathlib
+import shlex
 import sys
 
 from macid import start
 from macid.command import (
+    MOST_PEOPLE,
     MOST_SEED,
     MOST_SEEDS,
     MOST_STEPS,
@@ -106,6 +108,24 @@ def _watch(args):
     return 0
 
 
+def _export(args):
+    from macid.crowd import CrowdConfig
+    from macid.evaluate import level_seed
+    from macid.export import export
+    from macid.layout import load_level
+    from macid.maps import load_map
+
+    if args.map and args.level is not None:
+        raise UsageError("--map and --level both say where: give one of them.")
+    level = 2 if args.level is None else args.level
+    layout, seed = (load_map(args.map), (args.seed,)) if args.map else (load_level(level), (args.seed, *level_seed(level)))
+    config = CrowdConfig(number=args.people or layout.pedestrians or CrowdConfig.number, period=args.period, lcf=tuple(args.lcf))
+    start.cleaning_up()
+    export(layout, args.out, config, seed, f"macid {shlex.join(args.argv)}")
+    print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
+    return 0
+
+
 def _train(args):
     from macid.learning.train import preset, train
 
@@ -201,6 +221,20 @@ def parser():
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
+    export = commands.add_parser(
+        "export",
+        help="write one seed's crowd as MJCF, for MuJoCo, its viewer and MJX without this project",
+        formatter_class=HelpFormatter,
+    )
+    export.add_argument("--level", type=_level, default=None, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
+    export.add_argument("--map", type=name, default=None, help="instead of a level, a map's name (bson list) or file")
+    export.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's or the map's, else 50)")
+    export.number("--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it")
+    export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
+    export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
+    export.add_argument("--out", type=name, required=True, help="folder, new or empty")
+    export.set_defaults(run=_export)
+
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
@@ -237,7 +271,8 @@ def main(argv=None):
     def command():
         check_words(argv)
         args = parser().parse_args(argv)
-        start_mujoco()
+        args.argv = argv
+        start_mujoco(draws=args.run is not _export)
         return args.run(args)
 
     return run_command("macid", command)

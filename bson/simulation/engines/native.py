@@ -48,7 +48,7 @@ class NativeEngine:
         self._flags = self._batch.expand("opt.disableflags")
         self._flags[:] = self._sensors_off
         self._rays = []  # a site, its body, its directions' components ahead, left and up
-        self._site_places = self._site_frames = None
+        self._site_places = self._site_frames = np.empty(0)  # bound once there are rays
         self._forwards = 0
 
     def reset(self, ids: np.ndarray) -> None:
