@@ -14,14 +14,13 @@ from macid.command import (
     MOST_WORLDS,
     PERIOD,
     Parser,
+    add_executor,
     check_words,
     name,
 )
 from macid.files import (
     HelpFormatter,
-    UsageError,
     check_file,
-    check_folder,
     new_folder,
     run_command,
     start_mujoco,
@@ -33,77 +32,48 @@ def _level(text):
     return int(text) if text.isdecimal() else text
 
 
-def _evaluate(args):
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf, usual_period
-    from macid.layout import load_level
+def _say(line):
+    print(line, file=sys.stderr, flush=True)
 
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    for level in args.levels:
-        load_level(level)
-    if args.bins and args.lcf:
-        raise UsageError("--bins has LCFs of its own: leave --lcf out.")
-    if args.bins:
-        ranges = lcf_bins(args.pedestrian)
-    else:
-        ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
-    configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = check_file(args.out, "JSON file")
-    rows = []
-    for level in args.levels:
-        print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
-        rows += [
-            evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
-        ]
-    with new_folder(out.parent):
-        write_json(out, rows)
+
+def _evaluate(args):
+    from macid import benchmark
+    from macid.evaluate import format_table
+
+    rows = benchmark.evaluate(
+        args.pedestrian,
+        args.levels,
+        episodes=args.episodes,
+        seed=args.seed,
+        period=args.period,
+        lcf=args.lcf,
+        bins=args.bins,
+        engine=args.engine,
+        out=args.out,
+        show=_say,
+    )
     print(format_table(rows))
-    print(f"Written to {out}")
+    print(f"Written to {pathlib.Path(args.out)}")
     return 0
 
 
 def _watch(args):
-    from tqdm import tqdm
+    from macid import benchmark
 
-    from macid import drawing, watch
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import level_name, table_lcf, usual_period
-    from macid.layout import load_level
-
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    people = load_level(args.level).pedestrians
-    path = pathlib.Path(args.out)
-    if path.suffix not in (".webm", ".png"):
-        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    check_file(path)
-    if not 0 < args.seconds <= 600:
-        raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
-    if args.follow is not None and not 0 <= args.follow < people:
-        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {args.follow}.")
-    if not 0.25 <= args.scale <= 2:
-        raise UsageError(f"--scale must be 0.25 to 2, not {args.scale:g}.")
-    if args.at is not None and path.suffix != ".png":
-        raise UsageError("--at is for a picture: let --out end in .png.")
-    if args.at is not None and not 0 <= args.at <= args.seconds:
-        raise UsageError(f"--at must be 0 to {args.seconds:g}, the episode's length in seconds, not {args.at:g}.")
-    lcf = tuple(args.lcf or table_lcf(args.pedestrian))
-    config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
-    if problem := drawing.gl_problem():
-        raise UsageError(f"No pictures here: {problem}")
-    print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
-    start.cleaning_up()
-    recording = watch.record(args.pedestrian, args.level, config, args.seed)
-    with new_folder(path.parent):
-        if path.suffix == ".png":
-            watch.still(recording, path, args.at, args.follow, args.scale)
-        else:
-            with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
-
-                def progress(done, total):
-                    bar.total = total
-                    bar.update()
-
-                watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+    path = benchmark.watch(
+        args.pedestrian,
+        args.out,
+        level=args.level,
+        lcf=args.lcf,
+        seed=args.seed,
+        seconds=args.seconds,
+        period=args.period,
+        speed=args.speed,
+        follow=args.follow,
+        at=args.at,
+        scale=args.scale,
+        show=_say,
+    )
     print(f"Written: {path}")
     return 0
 
@@ -127,32 +97,30 @@ def _export(args):
 
 
 def _train(args):
-    from macid.learning.train import preset, train
+    from macid import benchmark
 
     given = {
         "nworld": args.worlds,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
     }
-    config = preset(
-        args.preset,
-        method=args.method,
-        level=args.level,
+    folders = benchmark.train(
+        args.method,
+        args.out,
+        preset=args.preset,
         seed=args.seed,
+        seeds=args.seeds,
+        resume=args.resume,
+        tensorboard=args.tensorboard,
+        executor=args.executor,
+        ray_address=args.ray_address,
+        workers=args.workers,
+        show=lambda line: print(line, flush=True),
+        level=args.level,
         engine=args.engine,
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
-    out = check_folder(args.out)
-    train(
-        config,
-        out,
-        args.seeds,
-        resume=args.resume,
-        show=lambda line: print(line, flush=True),
-        tensorboard=args.tensorboard,
-    )
-    for seed in range(args.seed, args.seed + args.seeds):
-        folder = out / f"{config.name}-{seed}"
+    for folder in folders:
         print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
     return 0
 
@@ -249,6 +217,7 @@ def parser():
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    add_executor(train)
     train.add_argument("--tensorboard", action="store_true", help="also log the curves for TensorBoard")
     train.set_defaults(run=_train)
 
