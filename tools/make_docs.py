@@ -2,7 +2,7 @@
 
 The project's page is index.html, each other page has a file of its own, and each module of `bson` and `macid` has one,
 from its docstrings. Anything that pdoc warns of, and any link of a page that leads nowhere, is an error. Modules that
-need a package which is not installed are left out and named.
+need another's package which is not installed are left out and named.
 """
 
 import argparse
@@ -63,7 +63,10 @@ def page(file, out):
 
 
 def module_names():
-    """Names of all modules of PACKAGES that can be imported, and what is left out: (names, [text, ...])."""
+    """Names of all modules of PACKAGES that can be imported, and what is left out: (names, [text, ...]).
+
+    Raises UsageError for a module that can't be imported because of one of ours.
+    """
     names, left_out = [], []
     for package in PACKAGES:
         names.append(package)
@@ -73,6 +76,8 @@ def module_names():
                 importlib.import_module(name)
                 names.append(name)
             except ImportError as error:
+                if (error.name or name).partition(".")[0] in PACKAGES:
+                    raise UsageError(f"{name} can't be imported: {error}") from None
                 left_out.append(f"{name}: {error}")
     return names, left_out
 
@@ -131,9 +136,9 @@ def build(out):
         (templates / "custom.css").write_text(STYLE)
         pdoc.render.configure(docformat="markdown", show_source=False, template_directory=templates)
         modules = {name: pdoc.doc.Module.from_name(name) for name in names}
-        for package in PACKAGES:  # all of them, also where __all__ names none
-            below = [module for name, module in modules.items() if name.rpartition(".")[0] == package]
-            modules[package].__dict__["submodules"] = below
+        for parent, module in modules.items():  # all that can be imported, also where __all__ names none
+            below = [other for name, other in modules.items() if name.rpartition(".")[0] == parent]
+            module.__dict__["submodules"] = below
         for file, name in PAGES.items():
             if name not in modules:
                 modules[name] = pdoc.doc.Module(types.ModuleType(name))
