@@ -20,8 +20,8 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
-    progress: called after each control step of the batch with (control steps done, Episode or None) for each episode
-    that ended, and (steps, None) otherwise. An episode does not depend on which others run beside it.
+    progress(steps, episode): called after each control step of each world, with 1 and the Episode that ended with it,
+    or None. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
@@ -60,10 +60,11 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
 
 
 def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
-    """`episodes` of one configuration, with what their people would have done without the robot, for as long.
+    """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
-    which people ask for them. Episodes that failed or have their pair stay as they are. progress: as run_episodes'.
+    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called as
+    by `run_episodes`.
     """
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]

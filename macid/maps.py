@@ -15,7 +15,7 @@ from macid.files import UsageError
 from macid.layout import Layout, load_layout
 from macid.registry import Kind
 
-MAX_BOXES = 1500  # of an image
+MAX_BOXES = 1500  # that stand for an image
 _SUFFIXES = (".toml", ".yaml", ".yml")
 _MOST_RUNS = 2_000_000  # of solid cells along a row, of an image that may need no merging
 _YAML_BYTES = 1 << 16
@@ -75,7 +75,7 @@ def map_files(name):
 
 
 def _changed(path):
-    """What changes with the content of the map `path` and of its image."""
+    """A value that changes when the content of the map `path` or of its image does."""
     found = [path.stat()]
     if path.suffix != ".toml":
         image = _image(path, _fields(path, found[0].st_mtime_ns, found[0].st_size))
@@ -105,8 +105,8 @@ def load_occupancy(file):
     negate, occupied_thresh, free_thresh, mode.
 
     Cells that are not free are solid; what is unknown counts as solid (macid.occupancy). The frame's origin is the
-    image's centre, about which the image is turned by the yaw of map_server's `origin`; what a square around it has more
-    is solid. Raises UsageError, naming what is wrong.
+    image's centre, about which the image is turned by the yaw of map_server's `origin`; the map is a square around it,
+    and solid outside the image. Raises UsageError, naming what is wrong.
     """
     file = pathlib.Path(file)
     fields = read_document(file, _Occupancy, "map", _YAML_BYTES)
@@ -135,7 +135,7 @@ def load_occupancy(file):
 
 def _boxes(solid, resolution, yaw):
     """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their centre,
-    and boxes (B, 5) that cover them and what the square has more."""
+    and boxes (B, 5) that cover them and the square outside them."""
     if yaw == 0:
         return resolution * max(solid.shape), rectangles(solid, resolution)
     height, width = np.array(solid.shape) * resolution
@@ -170,11 +170,11 @@ def _clipped(corners, axis, sign, edge):
 
 
 def rectangles(solid, resolution):
-    """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and what a square around them has more.
+    """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and the square around them outside them.
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
     more than MAX_BOXES, they are merged (macid.cover.merged), so that some free cells are covered, too. Raises
-    ValueError where that leaves people no room to go, and there was some.
+    ValueError where the merged boxes leave people no way, and there was one.
     """
     rows, columns = solid.shape
     side = max(rows, columns)

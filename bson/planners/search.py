@@ -59,7 +59,8 @@ def _search(grid, rate, start, goal, weight):
         back, _ = shortest(graph, last, first, least)
         to_look_at = there + back <= least
     cells = _way(graph, first, last, weight * octile, to_look_at)
-    # The two cells of a straight step, and the four around a diagonal one, are free and convex: any point there does.
+    # The two cells of a straight step, and the four around a diagonal step, are free and form a rectangle: a straight
+    # line between any points in them stays free.
     between = np.stack([columns[cells], rows[cells]], axis=-1)[1:-1] + 0.5
     return np.concatenate([start[None], between, goal[None]])
 

@@ -15,19 +15,19 @@ class PpoConfig:
     the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns better."""
 
     learning_rate: float = 1e-3
-    final_learning_rate: float = 5e-5  # annealed to, linearly over training
+    final_learning_rate: float = 5e-5  # the rate is annealed to it linearly over the training
     clip: float = 0.2  # epsilon of eq. 3
     gamma: float = 0.999
     lam: float = 0.95  # lambda of GAE
     batch: int = 2048
     epochs: int = 5
-    max_gradient_norm: float | None = 0.5  # of each network; None: not clipped
+    max_gradient_norm: float | None = 0.5  # each network's gradient is clipped to it; None: not clipped
     reward_scale: float = 0.1  # inside GAE and value losses
     log_std: float = -0.5  # initial
     entropy: float = 0.0
     standardize: bool = True  # the advantages of an update, to mean 0 and standard deviation 1
-    targets: str = "lambda"  # of the values: GAE's lambda-returns, or eq. 4's returns to the episode's end ("episode")
-    arrival: str = "mean"  # at a goal, whereupon there is a new one: see `gae`
+    targets: str = "lambda"  # what values learn: GAE's lambda-returns, or eq. 4's returns to the end ("episode")
+    arrival: str = "mean"  # what counts of the time after a goal, where a person gets a new one: see `gae`
 
     def __post_init__(self):
         if self.targets not in ("lambda", "episode"):
@@ -39,10 +39,11 @@ class PpoConfig:
 def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
-    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
-    redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
-    follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
-    arrival: "end" instead of "mean": an episode ends there, and what follows does not count at all.
+    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it. redrawn (T, ...)
+    bool: steps after which the state changes by a draw that no action influences (a new goal). The value of what
+    follows such a step is replaced by its mean over all redrawn steps, so that the decisions before it get no credit
+    for good or bad luck. arrival: "end" instead of "mean": an episode ends at such a step, and what follows does not
+    count at all.
     """
     next_value = jnp.concatenate([value[1:], last_value[None]])
     if redrawn is None:

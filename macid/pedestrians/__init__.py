@@ -88,7 +88,7 @@ PEDESTRIANS: Kind[Callable[[float], Controller]] = Kind(
 def model_names() -> list[str]:
     """The names that `make_controller` takes: rules, and the methods that shipped policies were trained by; sorted.
 
-    A method's name stands for its first seed; `name-SEED` is another of its policies.
+    A method's name stands for its policy of the first seed; `name-SEED` is the policy of another seed.
     """
     return sorted([*MODELS, *{name.rpartition("-")[0] for name in policy_names()}])
 
