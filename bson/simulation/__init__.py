@@ -1,0 +1,1 @@
+"""Worlds of pedestrians and a robot, and the engines that move them."""

@@ -1,0 +1,1 @@
+"""Physics engines of the robot's worlds, one a file."""
