@@ -359,7 +359,9 @@ def _bench(args):
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
     if args.out:
         path = check_file(args.out, "file for --out")
-    if args.train is None:
+    if args.engine == "warp":
+        rows = _bench_warp(args, given)
+    elif args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
         raise UsageError("--train measures learning on the 2D LIDAR: leave --sensors out.")
@@ -370,6 +372,17 @@ def _bench(args):
         with new_folder(path.parent):
             write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
+
+
+def _bench_warp(args, given):
+    from bson import bench_warp
+
+    if args.train is not None:
+        raise UsageError("--engine warp measures stepping: leave --train out.")
+    given.pop("algos", None)
+    if "batches" in given:
+        given["worlds"] = given.pop("batches")
+    return bench_warp.run(**given, model=args.pedestrian_model)
 
 
 def _doctor(args):
@@ -503,6 +516,12 @@ def parser():
     bench.add_argument("--sensors", type=name, nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
     bench.number("--seconds", float, 0.0, 1e6, above=True, help="time a case (default: 2; training: 20)")
     bench.add_argument("--pedestrian-model", type=name, default="macid", help="(default: macid)")
+    bench.add_argument(
+        "--engine",
+        choices=("native", "warp"),
+        default="native",
+        help="native: MuJoCo on CPUs; warp: MJX-Warp, on a GPU if there is one (default worlds then: 1024 4096)",
+    )
     bench.add_argument("--out", type=name, help="JSON file")
     bench.set_defaults(run=_bench)
 

@@ -44,18 +44,19 @@ class BsonFuncEnv(FuncEnv):
         self.observation_space, self.action_space = self.track.space(self.config), ACTION_SPACE
         self._params = None
 
+    def get_default_params(self, **kwargs):
+        """The pool of episodes that this environment was made with: drawn by the first call."""
+        if self._params is None:
+            seeds = range(self._seed, self._seed + self._pool_size)
+            self._params = jax.tree.map(jnp.asarray, Drawn(*draw_all(self.config, seeds, self.has_map)))
+        return self._params
+
     @property
     def has_map(self):
         """Whether observations have the map, so that the pool's episodes need it."""
         return isinstance(self.track, GlobalTrack)
 
-    @property
-    def default_params(self):
-        """The pool of episodes that this environment was made with."""
-        if self._params is None:
-            seeds = range(self._seed, self._seed + self._pool_size)
-            self._params = jax.tree.map(jnp.asarray, Drawn(*draw_all(self.config, seeds, self.has_map)))
-        return self._params
+    default_params = property(get_default_params)
 
     def fresh(self, rng, params=None):
         """`initial`, but not yet sensed."""

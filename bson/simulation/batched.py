@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from bson import robot, sensors
-from bson.simulation import rays
+from bson.simulation import pictures, rays
 from bson.simulation.engines.warp import Motion, WarpConfig, WarpEngine
 from bson.simulation.pool import Drawn
 from bson.task import TaskConfig, controller
@@ -203,9 +203,9 @@ class BatchedWorld:
         data = self.engine.sensordata(motion, drawn.boxes) if self._forward else None
         solids = rays.Solids(self._people(motion.qpos), drawn.boxes, self.config.map_size / 2 + 1.0)
         keys = jax.random.wrap_key_data(state.key)
-        pictures = {}
+        seen = {}  # by cameras
         for number, (sensor, every, read) in enumerate(zip(self.sensors, self._every, self._readers, strict=True)):
-            reading = read(body, solids, data, pictures)
+            reading = read(body, solids, data, seen)
             if sensor.noise:
                 stream = jax.random.fold_in(keys, zlib.crc32(sensor.key.encode()) + number)
                 reading = _noisy(sensor, reading, jax.random.fold_in(stream, state.steps))
@@ -262,25 +262,48 @@ def _mounted(model, body, place, quaternion, base="robot"):
 
 
 def _bind(model, sensor, config):
-    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, pictures) -> reading."""
+    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, what cameras saw) -> reading."""
     if isinstance(sensor, sensors.Imu):
         columns = np.concatenate(
             [model.sensor(f"robot/imu_{kind}").adr[0] + np.arange(3) for kind in ("accelerometer", "gyro")]
         )
-        return lambda body, solids, data, pictures: jnp.clip(data[columns], -sensor.limit, sensor.limit)
+        return lambda body, solids, data, seen: jnp.clip(data[columns], -sensor.limit, sensor.limit)
     if isinstance(sensor, sensors.Lidar):
         site = model.site(f"robot/{sensor.key}_beams").id
         place, turn = _mounted(model, model.site_bodyid[site], model.site_pos[site], model.site_quat[site])
         directions = jnp.asarray(sensor.directions @ turn.T, jnp.float32)
         place = jnp.asarray(place, jnp.float32)
 
-        def read(body, solids, data, pictures):
+        def read(body, solids, data, seen):
             rotation = _rotation(body[3:])
             distance = rays.first(body[:3] + _turned(rotation, place), _turned(rotation, directions), solids)
             return jnp.clip(distance, sensor.range_min, sensor.range_max)
 
         return read
+    if isinstance(sensor, (sensors.RgbCamera, sensors.DepthCamera)):
+        return _bind_camera(model, sensor)
     raise ValueError(f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, DepthCamera.")
+
+
+def _bind_camera(model, sensor):
+    """As _bind: a camera. Those that see the same share it in `pictures`."""
+    camera = model.camera(f"robot/{sensor.key}").id
+    place, turn = _mounted(model, model.cam_bodyid[camera], model.cam_pos[camera], model.cam_quat[camera])
+    turn = turn @ sensors.LOOK.T
+    directions, ahead = jnp.asarray(sensor.directions @ turn.T, jnp.float32), jnp.asarray(turn[:, 0], jnp.float32)
+    view = sensor.size, sensor.field, tuple(place), tuple(turn.ravel())
+    place, pixel = jnp.asarray(place, jnp.float32), 1 / sensor.focal[1]
+    coloured = isinstance(sensor, sensors.RgbCamera)
+
+    def read(body, solids, data, seen):
+        if view not in seen:
+            rotation = _rotation(body[3:])
+            eye, towards = body[:3] + _turned(rotation, place), _turned(rotation, directions)
+            seen[view] = pictures.look(eye, towards, _turned(rotation, ahead), solids, pixel)
+        colours, depth = seen[view]
+        return colours if coloured else jnp.clip(depth, sensor.range_min, sensor.range_max)
+
+    return read
 
 
 def _noisy(sensor, reading, key):
