@@ -34,7 +34,7 @@ def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0
     env = BsonFuncEnv(
         "local", sensors, worlds, seed=0, engine=engine, num_pedestrians=people, pedestrian_model=model, **config
     )
-    fleet = DeviceWorlds(env, workers=workers)
+    fleet = DeviceWorlds(env, workers=workers, ahead=_CHUNK)
     actions = jnp.tile(jnp.asarray(_ACTION, jnp.float32), (worlds, 1))
 
     def chunk(carry, episodes):
@@ -79,6 +79,47 @@ def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0
     }
 
 
+def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=None, workers=None, **hyperparameters):
+    """As `measure`: control steps/s with 720 beams while PPO learns from them."""
+    import jax
+
+    from bson.learning.device_ppo import DevicePpo, DevicePpoConfig, DeviceTrainConfig
+    from bson.simulation.engines.warp import WarpConfig
+
+    begin = time.perf_counter()
+    task = {"num_pedestrians": people, "pedestrian_model": model}
+    config = DeviceTrainConfig(0, 10**9, task, worlds, hyperparameters=DevicePpoConfig(**hyperparameters))
+    trainer = DevicePpo(config, workers, WarpConfig(**(engine or {})))
+    learner, stream = trainer.learner(), trainer.stream()
+    drawn = time.perf_counter()
+    for learner, stream, _ in trainer.run(learner, stream, 2):
+        pass
+    compiled = time.perf_counter()
+    updates, trainer.worlds.pool.waited = 0, 0.0
+    while (elapsed := time.perf_counter() - compiled) < seconds:
+        for learner, stream, figures in trainer.run(learner, stream, 4):
+            pass
+        jax.block_until_ready(learner)
+        updates += 4
+    steps = updates * config.hyperparameters.rollout
+    trainer.close()
+    return {
+        "device": device(),
+        "engine": "warp",
+        "people": people,
+        "worlds": worlds,
+        "sensor": "ppo",
+        "model": model,
+        "steps_per_s": steps * worlds / elapsed,
+        "steps": steps,
+        "made_s": drawn - begin,
+        "compiled_s": compiled - drawn,
+        "waited_s": trainer.worlds.pool.waited,
+        "episodes": trainer.worlds.pool.begun,
+        "figures": figures,
+    }
+
+
 def device():
     """The device that the worlds are on, in words."""
     import jax
@@ -87,24 +128,24 @@ def device():
     return f"{len(jax.devices())} x {first.device_kind} ({first.platform})"
 
 
-def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, model="macid", show=print):
+def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, model="macid", train=False, show=print):
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
-    Each case has a process of its own, so that none meets what another has compiled. Raises ValueError for a sensor set that
+    train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled. Raises ValueError for a sensor set that
     is not among SENSORS, RuntimeError for a case that fails.
     """
     for sensor in sensors:
         if sensor not in SENSORS:
             raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
     cases = [
-        {"people": number, "worlds": many, "sensor": sensor, "seconds": seconds, "model": model}
+        {"people": number, "worlds": many, "seconds": seconds, "model": model, **({} if train else {"sensor": sensor})}
         for number in people
         for many in worlds
         for sensor in sensors
     ]
     rows = []
     for case in cases:
-        row = measure(**case) if len(cases) == 1 else _apart(case)
+        row = (measure_training if train else measure)(**case) if len(cases) == 1 else _apart(case, train)
         if not rows:
             show(f"{row['device']}; pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")
             show(f"{'people':>7}{'worlds':>8}{'sensor':>10}{'control steps/s':>17}")
@@ -113,14 +154,20 @@ def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, 
     return rows
 
 
-def _apart(case):
-    """`measure` in a process of its own."""
-    command = [sys.executable, "-m", "bson.bench_warp", json.dumps(case)]
+def _apart(case, train=False):
+    """`measure`, or `measure_training`, in a process of its own."""
+    command = [sys.executable, "-m", "bson.bench_warp", json.dumps({**case, "train": train})]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=_LONGEST + case["seconds"], check=False)
     if done.returncode:
         raise RuntimeError(f"The bench of {case} ended with {done.returncode}.")
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def _main(case):
+    """One case of JSON; prints its row as one line of JSON."""
+    measured = measure_training if case.pop("train", False) else measure
+    print(json.dumps(measured(**case)), flush=True)
+
+
 if __name__ == "__main__":
-    print(json.dumps(measure(**json.loads(sys.argv[1]))), flush=True)
+    _main(json.loads(sys.argv[1]))

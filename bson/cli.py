@@ -324,6 +324,8 @@ def _agents_extra():
 
 
 def _train(args):
+    if args.engine == "warp":
+        return _train_warp(args)
     with _agents_extra():
         from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, train_with_bar
 
@@ -331,13 +333,34 @@ def _train(args):
         raise UsageError(f"Unknown algorithm '{args.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
     hyperparameters = PRESETS[args.preset][args.algo]
     config = TrainConfig(
-        args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
+        args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds or 16, hyperparameters=hyperparameters
     )
     start.cleaning_up()
     folder = train_with_bar(config, args.out, args.resume)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
     )
+    return 0
+
+
+def _train_warp(args):
+    if args.preset != "fast":
+        raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
+    from tqdm import tqdm
+
+    from bson.learning.device_ppo import DeviceTrainConfig, train
+
+    worlds = {} if args.worlds is None else {"num_envs": args.worlds}
+    config = DeviceTrainConfig(args.seed, int(args.steps), _overrides(args.set), algo=args.algo, **worlds)
+    start.cleaning_up()
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
+
+        def show(steps, figures):
+            bar.n = min(steps, config.steps)
+            bar.set_postfix_str("  ".join(f"{name} {value:.3g}" for name, value in figures.items()))
+
+        folder = train(config, args.out, args.resume, show)
+    print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}")
     return 0
 
 
@@ -377,12 +400,14 @@ def _bench(args):
 def _bench_warp(args, given):
     from bson import bench_warp
 
-    if args.train is not None:
-        raise UsageError("--engine warp measures stepping: leave --train out.")
-    given.pop("algos", None)
     if "batches" in given:
         given["worlds"] = given.pop("batches")
-    return bench_warp.run(**given, model=args.pedestrian_model)
+    algos = given.pop("algos", None)
+    if args.train is None:
+        return bench_warp.run(**given, model=args.pedestrian_model)
+    if algos not in (None, ["ppo"]) or args.sensors is not None:
+        raise UsageError("--engine warp measures training of ppo on the 2D LIDAR: leave other algorithms and --sensors out.")
+    return bench_warp.run(**given, sensors=("lidar2d",), model=args.pedestrian_model, train=True)
 
 
 def _doctor(args):
@@ -499,7 +524,10 @@ def parser():
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
-    train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="at once")
+    train.number("--worlds", int, 1, MOST_WORLDS, default=None, help="at once (default: 16; with --engine warp 1024)")
+    train.add_argument(
+        "--engine", choices=("native", "warp"), default="native", help="warp: ppo in MJX-Warp, on a GPU if there is one"
+    )
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0)
     train.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"

@@ -38,20 +38,26 @@ class DeviceWorlds:
 
     `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to `steps` of
     them, call `ready(steps)`, which gives the `episodes`, and after them `done(carry)`.
+    ahead: the most steps that are asked for at once. pool: how many episodes are kept ready; None: enough for that.
     workers: processes that draw episodes; None: as many as there are cores to spare, for many worlds.
     """
 
-    def __init__(self, env, seed=0, pool=None, workers=None):
-        self.env, self.num_envs = env, env.num_envs
+    def __init__(self, env, seed=0, pool=None, workers=None, ahead=2):
+        self.env, self.num_envs, self._seed = env, env.num_envs, seed
         if workers is None:
             workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
-        size = max(128, 3 * env.num_envs) if pool is None else pool
-        self.pool = Pool(env.config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
-        self._counted = 0
-        config = env.config
+        self._counted, config = 0, env.config
         reach = _FASTER * config.robot.max_speed * config.control_period
         self._least = max(1, min(config.horizon, int((config.goal_distance[0] - GOAL_RADIUS) / reach)))
+        size = max(128, env.num_envs + self.most_begun(ahead) + 128) if pool is None else pool
+        self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
         self._begin = jax.jit(self._first)
+
+    def skip(self, number):
+        """Leaves out the pool's first `number` episodes, which an earlier run has begun."""
+        pool = self.pool
+        pool.close()
+        self.pool = Pool(pool.config, pool.size, self._seed + number, self.env.has_map, pool.workers)
 
     def most_begun(self, steps):
         """How many episodes may begin in `steps` steps at most."""

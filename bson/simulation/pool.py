@@ -159,7 +159,7 @@ class Pool:
     def __init__(self, config, size, seed=0, with_map=False, workers=0):
         import jax
 
-        self.size = size
+        self.size, self.workers = size, workers
         self.config, self._with_map = config, with_map
         self._next_seed = int(seed)
         block = min(_BLOCK, size)
