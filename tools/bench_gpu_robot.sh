@@ -32,4 +32,4 @@ case_ 120 '{"sensor": "none", "worlds": 4096, "seconds": 4, "engine": {"solver":
 case_ 90 '{"sensor": "none", "worlds": 4096, "seconds": 4, "engine": {"iterations": 4, "ls_iterations": 8}}'
 case_ 90 '{"sensor": "none", "worlds": 1024, "seconds": 4}'
 case_ 90 '{"sensor": "lidar2d", "worlds": 1024, "seconds": 4}'
-case_ 90 '{"sensor": "lidar2d", "worlds": 4096, "people": 50, "seconds": 4}'
+case_ 150 '{"sensor": "lidar2d", "worlds": 4096, "people": 50, "seconds": 4}'

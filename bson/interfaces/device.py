@@ -43,7 +43,7 @@ class DeviceWorlds:
     """
 
     def __init__(self, env, seed=0, pool=None, workers=None, ahead=2):
-        self.env, self.num_envs, self._seed = env, env.num_envs, seed
+        self.env, self.num_envs = env, env.num_envs
         if workers is None:
             workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
         self._counted, config = 0, env.config
@@ -53,11 +53,11 @@ class DeviceWorlds:
         self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
         self._begin = jax.jit(self._first)
 
-    def skip(self, number):
-        """Leaves out the pool's first `number` episodes, which an earlier run has begun."""
+    def restart(self, seed):
+        """Has the pool's episodes begin at `seed`; `begin` is to follow."""
         pool = self.pool
         pool.close()
-        self.pool = Pool(pool.config, pool.size, self._seed + number, self.env.has_map, pool.workers)
+        self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers)
 
     def most_begun(self, steps):
         """How many episodes may begin in `steps` steps at most."""

@@ -71,11 +71,12 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         if options:
             raise ValueError(f"The engine 'warp' takes no options of reset: give {shown(next(iter(options)))} to make_vec.")
         seed, self._first_seed = _one_seed(seed if seed is not None else self._first_seed), None
-        if seed is not None or self._worlds is None:
-            self._close_worlds()
+        if self._worlds is None:
             seed = int(np.random.default_rng().integers(*_NO_SEED)) if seed is None else seed
             self._worlds = DeviceWorlds(self._func, seed, **self._pool)
             self._step = jax.jit(self._stepped, donate_argnums=0)
+        elif seed is not None:
+            self._worlds.restart(seed)
         elif self._tally is not None:
             self._worlds.count(self._tally)
         self._carry, observation = self._worlds.begin()

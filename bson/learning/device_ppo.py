@@ -116,7 +116,8 @@ class DevicePpo:
         self.config, self.hyper = config, config.hyperparameters
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, **config.task)
         self._ahead = 2 * self.hyper.rollout  # an iteration that runs, and one that is asked for
-        self.worlds = DeviceWorlds(env, 2**32 * (config.seed + 1), workers=workers, ahead=self._ahead)
+        self.first_seed = 2**32 * (config.seed + 1)  # of its episodes
+        self.worlds = DeviceWorlds(env, self.first_seed, workers=workers, ahead=self._ahead)
         hyper, number = self.hyper, config.num_envs * self.hyper.rollout
         self._ppo = ppo.PpoConfig(
             learning_rate=hyper.learning_rate,
@@ -262,6 +263,7 @@ def train(config, out, resume=False, show=lambda steps, figures: None, seconds_b
 
 def _train(trainer, folder, show, every):
     config, learner, curve, spent = trainer.config, trainer.learner(), [], 0.0
+    used = 0
     leaves, tree = jax.tree.flatten(learner)
     saved = read_checkpoint(folder, Noted)
     if saved:
@@ -273,13 +275,13 @@ def _train(trainer, folder, show, every):
         except (KeyError, ValueError) as error:
             raise damaged(folder / "checkpoint.npz", error) from None
         learner = jax.tree.unflatten(tree, map(jnp.asarray, found))
-        curve, spent = noted["curve"], noted["spent"]
-        trainer.worlds.skip(noted["used"])
+        curve, spent, used = noted["curve"], noted["spent"], noted["used"]
+        trainer.worlds.restart(trainer.first_seed + noted["used"])
     begin, last, per = time.monotonic(), time.monotonic(), config.num_envs * config.hyperparameters.rollout
 
     def save(learner):
         found = {str(place): np.asarray(leaf) for place, leaf in enumerate(jax.tree.leaves(learner))}
-        noted = {"curve": curve, "spent": spent + time.monotonic() - begin, "used": trainer.worlds.pool.begun}
+        noted = {"curve": curve, "spent": spent + time.monotonic() - begin, "used": used + trainer.worlds.pool.begun}
         write_checkpoint(folder, found, noted)
 
     left = config.updates - int(learner.done)

@@ -162,7 +162,7 @@ class Pool:
         self.size, self.workers = size, workers
         self.config, self._with_map = config, with_map
         self._next_seed = int(seed)
-        block = min(_BLOCK, size)
+        block = max(1, min(_BLOCK, size // 4))
         while size % block:
             block -= 1
         self._block = block

@@ -158,18 +158,16 @@ def test_worlds_on_the_device_take_each_episode_once(env):
 def test_pool_keeps_what_is_not_used_yet():
     pool = Pool(TaskConfig(num_pedestrians=2), 8, seed=5)
     try:
-        pool.ensure(1)
-        assert pool.drawn == 8
-        first = np.asarray(pool.episodes.seed)[:, 0].tolist()
-        assert first == list(range(5, 13))
+        pool.ensure(7)  # blocks of two
+        assert np.asarray(pool.episodes.seed)[:, 0].tolist() == list(range(5, 13))
         pool.used(3)
-        pool.ensure(1)
-        assert np.asarray(pool.episodes.seed)[:, 0].tolist() == first  # a block of eight does not fit yet
+        pool.ensure(7)
+        assert np.asarray(pool.episodes.seed)[:, 0].tolist() == [13, 14, *range(7, 13)]  # 8 is used up, 9 is not
         pool.used(5)
-        pool.ensure(1)
-        assert np.asarray(pool.episodes.seed)[:, 0].tolist() == list(range(13, 21))
+        pool.ensure(7)
+        assert np.asarray(pool.episodes.seed)[:, 0].tolist() == [*range(13, 21)]
         with pytest.raises(ValueError, match="larger"):
-            pool.ensure(9)
+            pool.ensure(8)
     finally:
         pool.close()
 
