@@ -1,4 +1,5 @@
-"""How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, episodes that follow each other."""
+"""How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, episodes that follow each
+other."""
 
 import json
 import subprocess
@@ -92,13 +93,11 @@ def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=
     trainer = DevicePpo(config, workers, WarpConfig(**(engine or {})))
     learner, stream = trainer.learner(), trainer.stream()
     drawn = time.perf_counter()
-    for learner, stream, _ in trainer.run(learner, stream, 2):
-        pass
+    *_, (learner, stream, _) = trainer.run(learner, stream, 2)
     compiled = time.perf_counter()
     updates, trainer.worlds.pool.waited = 0, 0.0
     while (elapsed := time.perf_counter() - compiled) < seconds:
-        for learner, stream, figures in trainer.run(learner, stream, 4):
-            pass
+        *_, (learner, stream, figures) = trainer.run(learner, stream, 4)
         jax.block_until_ready(learner)
         updates += 4
     steps = updates * config.hyperparameters.rollout
@@ -131,8 +130,8 @@ def device():
 def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, model="macid", train=False, show=print):
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
-    train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled. Raises ValueError for a sensor set that
-    is not among SENSORS, RuntimeError for a case that fails.
+    train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled.
+    Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
     """
     for sensor in sensors:
         if sensor not in SENSORS:

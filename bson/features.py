@@ -23,7 +23,8 @@ def closeness(lidar):
 
 
 def motion(observation):
-    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares."""
+    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as
+    shares."""
     goal = observation["goal"]
     xp = goal.__array_namespace__()
     distance = xp.linalg.norm(goal, axis=-1, keepdims=True)
@@ -39,7 +40,8 @@ class Features:
         self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
 
     def begin(self, rows, observation):
-        """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading axis."""
+        """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading
+        axis."""
         self._scans[rows] = closeness(observation["lidar"])[:, None]
         return self._vector(rows, observation)
 
@@ -54,8 +56,8 @@ class Features:
 
 
 def remember(scans, lidar, began):
-    """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); of robots whose episode
-    `began` (N,) in that step, the reading is all there is."""
+    """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); of robots whose
+    episode `began` (N,) in that step, the reading is all there is."""
     xp = lidar.__array_namespace__()
     new = closeness(lidar)[:, None]
     longer = xp.concatenate([new, scans[:, :-1]], axis=1)

@@ -36,8 +36,8 @@ class Outcome(NamedTuple):
 class DeviceWorlds:
     """`env.num_envs` worlds of the BsonFuncEnv `env`, with a pool of episodes from `seed` on.
 
-    `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to `steps` of
-    them, call `ready(steps)`, which gives the `episodes`, and after them `done(carry)`.
+    `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to
+    `steps` of them, call `ready(steps)`, which gives the `episodes`, and after them `done(carry)`.
     ahead: the most steps that are asked for at once. pool: how many episodes are kept ready; None: enough for that.
     workers: processes that draw episodes; None: as many as there are cores to spare, for many worlds.
     """

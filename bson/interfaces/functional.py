@@ -4,10 +4,10 @@
     state = jax.vmap(env.initial, in_axes=(0, None))(jnp.arange(4096), env.default_params)
     state = jax.jit(jax.vmap(env.transition))(state, actions)
 
-All of a control step happens on the device: what pedestrians decide, physics (MJX-Warp), collisions, sensors. The rules are
-those of `bson.env.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with the native engine's
-to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians' later goals too: see
-`bson.simulation.pool`.
+All of a control step happens on the device: what pedestrians decide, physics (MJX-Warp), collisions, sensors. The rules
+are those of `bson.env.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with the native
+engine's to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians' later goals
+too: see `bson.simulation.pool`.
 """
 
 import gymnasium
@@ -33,14 +33,14 @@ class BsonFuncEnv(FuncEnv):
 
     num_envs: how many worlds are to be stepped together under jax.vmap: physics has room for the contacts of so many.
     pool: how many episodes `default_params` has, with the seeds `seed`, `seed + 1`, ...; drawn when first asked for.
-    config: fields of `bson.task.TaskConfig`.
+    engine: WarpConfig, its limits. config: fields of `bson.task.TaskConfig`.
     """
 
-    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=WarpConfig(), **config):
+    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=None, **config):
         self.config = TaskConfig().replace(**config)
         self.track = make_track(track, sensor)
         self.num_envs, self._pool_size, self._seed = num_envs, num_envs if pool is None else pool, seed
-        self.world = BatchedWorld(self.config, self.track.sensors, num_envs, engine)
+        self.world = BatchedWorld(self.config, self.track.sensors, num_envs, engine or WarpConfig())
         self.observation_space, self.action_space = self.track.space(self.config), ACTION_SPACE
         self._params = None
 
@@ -118,8 +118,8 @@ class BsonFuncEnv(FuncEnv):
         return (state.fault | (state.steps >= self.config.horizon)) & ~self.terminal(state)
 
     def state_info(self, state, params=None):
-        """What the metrics need: a dict as in `bson.env.BsonEnv`, but `seed` (2,) is in halves of 32 bits, the lower first,
-        and `fault` is a bool."""
+        """What the metrics need: a dict as in `bson.env.BsonEnv`, but `seed` (2,) is in halves of 32 bits, the lower
+        first, and `fault` is a bool."""
         return {
             "seed": state.drawn.seed,
             "time": state.steps * jnp.float32(self.config.control_period),

@@ -1,6 +1,8 @@
 """The worlds of `bson.interfaces.functional` as a Gymnasium vector environment: `gymnasium.make_vec(id, num_envs=4096,
 engine="warp")`."""
 
+from typing import ClassVar
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -21,15 +23,16 @@ _NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
 class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     """`num_envs` worlds of `bson.env.BsonEnv` on one device, with the spaces, infos and arguments of BsonVectorEnv.
 
-    Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which they begin, and none comes twice. A world
-    whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default mode).
+    Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which they begin, and none comes twice. A
+    world whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default mode).
 
-    output: what observations, rewards, ends and infos are: "numpy", or "jax" or "torch" arrays on the device, without a copy.
-    With these `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and `info["fault"]` a bool. Actions may
-    be any of the three. pool: episodes that are kept ready; workers: processes that draw them; None: as many as are needed.
+    output: what observations, rewards, ends and infos are: "numpy", or "jax" or "torch" arrays on the device, without a
+    copy. With these `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and `info["fault"]` a bool.
+    Actions may be any of the three. pool: episodes that are kept ready; workers: processes that draw them; None: as
+    many as are needed.
     """
 
-    metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
+    metadata: ClassVar = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
 
     def __init__(
         self,
@@ -48,7 +51,9 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
         if AutoresetMode(autoreset_mode) is not AutoresetMode.NEXT_STEP:
-            raise ValueError(f"The engine 'warp' has the autoreset_mode NextStep only, not {AutoresetMode(autoreset_mode).value}.")
+            raise ValueError(
+                f"The engine 'warp' has the autoreset_mode NextStep only, not {AutoresetMode(autoreset_mode).value}."
+            )
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {', '.join(OUTPUTS)}, not {shown(output)}.")
         check_worlds("num_envs", num_envs)
@@ -69,7 +74,9 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     def reset(self, *, seed=None, options=None):
         """Begins an episode in every world."""
         if options:
-            raise ValueError(f"The engine 'warp' takes no options of reset: give {shown(next(iter(options)))} to make_vec.")
+            raise ValueError(
+                f"The engine 'warp' takes no options of reset: give {shown(next(iter(options)))} to make_vec."
+            )
         seed, self._first_seed = _one_seed(seed if seed is not None else self._first_seed), None
         if self._worlds is None:
             seed = int(np.random.default_rng().integers(*_NO_SEED)) if seed is None else seed

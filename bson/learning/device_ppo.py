@@ -1,7 +1,7 @@
 """Proximal policy optimisation in worlds on a device (MJX-Warp): rollouts and updates in one compiled program.
 
-Features, networks and policies are those of PPO by stable-baselines3 (bson.learning.train), so that `bson evaluate` and NumPy
-run what comes of it; estimates and updates are those of pedestrians (macid.learning.ppo). It needs no torch.
+Features, networks and policies are those of PPO by stable-baselines3 (bson.learning.train), so that `bson evaluate` and
+NumPy run what comes of it; estimates and updates are those of pedestrians (macid.learning.ppo). It needs no torch.
 """
 
 import dataclasses
@@ -18,11 +18,19 @@ import numpy as np
 from bson.features import FEATURES, SCANS, SECTORS, remember, vector
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
-from bson.simulation.engines.warp import WarpConfig
 from bson.task import TaskConfig
 from macid.files import lock_folder
 from macid.learning import ppo
-from macid.learning.curves import FILES, damaged, plain, read_checkpoint, thin, training_folder, write_checkpoint, write_curve
+from macid.learning.curves import (
+    FILES,
+    damaged,
+    plain,
+    read_checkpoint,
+    thin,
+    training_folder,
+    write_checkpoint,
+    write_curve,
+)
 from macid.policy import write_network
 
 ACTIONS = 2
@@ -64,12 +72,7 @@ class DeviceTrainConfig:
         for name in ("steps", "num_envs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
-        self.setting  # raises what is wrong with the task
-
-    @property
-    def setting(self):
-        """The TaskConfig of the worlds."""
-        return TaskConfig().replace(**self.task)
+        TaskConfig().replace(**self.task)  # raises what is wrong with it
 
     @property
     def name(self):
@@ -112,7 +115,7 @@ def network(layers, x):
 class DevicePpo:
     """The training of `config`, as functions for jax.jit."""
 
-    def __init__(self, config: DeviceTrainConfig, workers=None, engine=WarpConfig()):
+    def __init__(self, config: DeviceTrainConfig, workers=None, engine=None):
         self.config, self.hyper = config, config.hyperparameters
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, **config.task)
         self._ahead = 2 * self.hyper.rollout  # an iteration that runs, and one that is asked for
@@ -171,8 +174,8 @@ class DevicePpo:
         earned = jnp.where(outcome.began, 0.0, stream.earned) + outcome.reward
         counts = carry.states.counts[:, 0]
         figures = jnp.stack([earned, outcome.terminated, counts > 0, carry.states.steps], axis=-1)
-        # The step with which an episode begins is nobody's deed: with its value for a reward it teaches nothing, and what
-        # ended at the horizon counts on with the value of where it ended.
+        # The step with which an episode begins is nobody's deed: with its value for a reward it teaches nothing, and
+        # what ended at the horizon counts on with the value of where it ended.
         reward = jnp.where(outcome.began, value, outcome.reward * self.hyper.value_scale)
         after = Stream(
             carry,
@@ -247,9 +250,10 @@ def train(config, out, resume=False, show=lambda steps, figures: None, seconds_b
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json, curve.csv and a
     checkpoint.
 
-    show: called after each update with the steps done and figures {name: value} of the episodes that ended in it. resume:
-    goes on from the checkpoint, if there is one; the worlds then begin the episodes that follow. Raises UsageError if the
-    folder has another configuration's training, or, without `resume`, this one's, or if another process trains there.
+    show: called after each update with the steps done and figures {name: value} of the episodes that ended in it.
+    resume: goes on from the checkpoint, if there is one; the worlds then begin the episodes that follow. Raises
+    UsageError if the folder has another configuration's training, or, without `resume`, this one's, or if another
+    process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     with lock_folder(path, FILES, alone=("config.json",)):
@@ -270,7 +274,9 @@ def _train(trainer, folder, show, every):
         found, noted = saved
         try:
             found = [found[str(place)] for place in range(len(leaves))]
-            if any(one.shape != other.shape or one.dtype != other.dtype for one, other in zip(found, leaves, strict=True)):
+            if any(
+                one.shape != other.shape or one.dtype != other.dtype for one, other in zip(found, leaves, strict=True)
+            ):
                 raise ValueError("its networks have another shape")
         except (KeyError, ValueError) as error:
             raise damaged(folder / "checkpoint.npz", error) from None
@@ -288,7 +294,8 @@ def _train(trainer, folder, show, every):
     stream = trainer.stream() if left > 0 else None
     while left > 0:
         some, left = min(left, 16), left - min(left, 16)  # the device is not waited for within
-        for learner, stream, figures in trainer.run(learner, stream, some):
+        for now in trainer.run(learner, stream, some):
+            learner, stream, figures = now
             steps = (len(curve) + 1) * per
             curve.append({"steps": steps, "seconds": round(spent + time.monotonic() - begin, 1), **figures})
             show(steps, figures)

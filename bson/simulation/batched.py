@@ -1,5 +1,5 @@
-"""One world of the benchmark as pure functions on JAX, that jax.vmap makes many: what `bson.world.World` does, by the same
-rules, on a device.
+"""One world of the benchmark as pure functions on JAX, that jax.vmap makes many: what `bson.world.World` does, by the
+same rules, on a device.
 
 An episode goes `begin` -> `sense`, then `advance` -> `sense` for each control step.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from bson import robot, sensors
 from bson.simulation import pictures, rays
-from bson.simulation.engines.warp import Motion, WarpConfig, WarpEngine
+from bson.simulation.engines.warp import Motion, WarpEngine
 from bson.simulation.pool import Drawn
 from bson.task import TaskConfig, controller
 from bson.world import APPROACH, build_spec
@@ -51,12 +51,13 @@ def _chosen(condition, one, other):
 
 
 class BatchedWorld:
-    """The functions of a world of `config` with the sensors `mounted`, of which `nworld` are to be stepped together under jax.vmap.
+    """The functions of a world of `config` with the sensors `mounted`, of which `nworld` are to be stepped together
+    under jax.vmap.
 
     Raises ValueError for what doesn't fit together, UsageError without MJX-Warp.
     """
 
-    def __init__(self, config: TaskConfig, mounted=(), nworld=1, engine=WarpConfig()):
+    def __init__(self, config: TaskConfig, mounted=(), nworld=1, engine=None):
         self.config, self.sensors, self.nworld = config, tuple(mounted), nworld
         spec = build_spec(config, self.sensors, hidden=True)
         self.engine = WarpEngine(spec, config.people, nworld, engine)
@@ -81,9 +82,7 @@ class BatchedWorld:
             key = jax.random.key(0)
         key = jax.random.fold_in(jax.random.fold_in(key, drawn.seed[0]), drawn.seed[1])
         zero, none = jnp.float32(0), jnp.int32(0)
-        readings = {
-            sensor.key: jnp.zeros(sensor.space.shape, sensor.space.dtype) for sensor in self.sensors
-        }
+        readings = {sensor.key: jnp.zeros(sensor.space.shape, sensor.space.dtype) for sensor in self.sensors}
         return State(
             drawn,
             self.engine.rest(qpos),
@@ -262,7 +261,8 @@ def _mounted(model, body, place, quaternion, base="robot"):
 
 
 def _bind(model, sensor, config):
-    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, what cameras saw) -> reading."""
+    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, what cameras saw) ->
+    reading."""
     if isinstance(sensor, sensors.Imu):
         columns = np.concatenate(
             [model.sensor(f"robot/imu_{kind}").adr[0] + np.arange(3) for kind in ("accelerometer", "gyro")]
@@ -282,7 +282,9 @@ def _bind(model, sensor, config):
         return read
     if isinstance(sensor, (sensors.RgbCamera, sensors.DepthCamera)):
         return _bind_camera(model, sensor)
-    raise ValueError(f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, DepthCamera.")
+    raise ValueError(
+        f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, DepthCamera."
+    )
 
 
 def _bind_camera(model, sensor):

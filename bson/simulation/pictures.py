@@ -1,5 +1,5 @@
-"""What the robot's cameras see, as formulas: rays through the pixels' middles, and the light of `macid.scene` on what they
-meet. NumPy or JAX arrays in, the same out.
+"""What the robot's cameras see, as formulas: rays through the pixels' middles, and the light of `macid.scene` on what
+they meet. NumPy or JAX arrays in, the same out.
 
 Depth is exact. Colours are those of the native engine's pictures to a few of 255 steps: light from afar and from the
 camera, no shadow, the floor's tiles and the sky's gradient; highlights, fainter than that, are left out.
@@ -41,9 +41,7 @@ def normals_of_box(point, box, height):
     zero, one = xp.zeros_like(x), xp.ones_like(x)
     along = xp.where(face == 0, xp.sign(ahead), zero)
     across = xp.where(face == 1, xp.sign(aside), zero)
-    return xp.stack(
-        [cos * along - sin * across, sin * along + cos * across, xp.where(face == 2, one, zero)], axis=-1
-    )
+    return xp.stack([cos * along - sin * across, sin * along + cos * across, xp.where(face == 2, one, zero)], axis=-1)
 
 
 def floor_colour(point, spread):

@@ -1,9 +1,9 @@
 """Episodes drawn on the host for worlds on a device: a ring of them there, refilled in the background.
 
-An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. What the native world draws in passing, the goals
-of people who have arrived at theirs, is drawn here beforehand, from the same stream after the spawn: each goal lies about
-the last one, not about where the person will stand when it gets there, up to GOAL_RADIUS beside it. Whoever has come to
-the end of its ways walks them back.
+An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. What the native world draws in passing, the
+goals of people who have arrived at theirs, is drawn here beforehand, from the same stream after the spawn: each goal
+lies about the last one, not about where the person will stand when it gets there, up to GOAL_RADIUS beside it. Whoever
+has come to the end of its ways walks them back.
 """
 
 import concurrent.futures
@@ -151,9 +151,10 @@ def serve():
 class Pool:
     """A ring of `size` episodes on the device, with the seeds `seed`, `seed + 1`, ...: none comes twice.
 
-    `episodes` (Drawn, leading axis (size,)) is what a step takes from. Whoever begins episodes takes the slots in order, one
-    after the other around the ring, calls `used` to say how many it has taken, and before it may take up to `number` more
-    `ensure(number)`, which waits only where the host has not drawn them yet. workers: processes that draw; 0: a thread.
+    `episodes` (Drawn, leading axis (size,)) is what a step takes from. Whoever begins episodes takes the slots in
+    order, one after the other around the ring, calls `used` to say how many it has taken, and before it may take up to
+    `number` more `ensure(number)`, which waits only where the host has not drawn them yet. workers: processes that
+    draw; 0: a thread.
     """
 
     def __init__(self, config, size, seed=0, with_map=False, workers=0):
@@ -182,7 +183,8 @@ class Pool:
         )
 
     def _ask(self):
-        """Has as many blocks drawn as will fit into the ring, beside those that wait for room, and two more a worker."""
+        """Has as many blocks drawn as will fit into the ring, beside those that wait for room, and two more a
+        worker."""
         ahead = max(2, 2 * len(self._workers)) + (self.size - (self.drawn - self.begun)) // self._block
         while len(self._pending) < ahead:
             seeds = range(self._next_seed, self._next_seed + self._block)

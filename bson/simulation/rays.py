@@ -1,7 +1,7 @@
 """Rays through the robot's scene as formulas: floor, upright cylinders (people) and upright boxes (walls, obstacles).
 
-They meet what MuJoCo's own rays meet, and nothing of the robot itself. The functions take NumPy or JAX arrays and answer in
-kind. World frame, z up [m]; a box is a row of `macid.geometry.BOX_COLUMNS` that stands on the floor.
+They meet what MuJoCo's own rays meet, and nothing of the robot itself. The functions take NumPy or JAX arrays and
+answer in kind. World frame, z up [m]; a box is a row of `macid.geometry.BOX_COLUMNS` that stands on the floor.
 """
 
 from typing import Any, NamedTuple
@@ -72,7 +72,8 @@ def to_boxes(origin, direction, boxes):
 
 
 def to_floor(origin, direction, half):
-    """Distances (...) [m] from `origin` (3,) along `direction` (..., 3) to the floor, a square of half a side `half`."""
+    """Distances (...) [m] from `origin` (3,) along `direction` (..., 3) to the floor, a square of half a side
+    `half`."""
     xp = direction.__array_namespace__()
     down = direction[..., 2]
     distance = -origin[2] / xp.where(down < 0, down, xp.full_like(down, -1e-9))

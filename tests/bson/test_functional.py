@@ -35,8 +35,10 @@ def _functions(env):
     initial = jax.jit(jax.vmap(env.initial, in_axes=(0, None)))
     follow = jax.jit(jax.vmap(env.follow, in_axes=(0, 0, 0, 0, None)))
 
-    def step(states, actions, over=np.zeros(WORLDS, bool), slots=np.zeros(WORLDS, int)):
-        return follow(states, jnp.asarray(actions, jnp.float32), over, slots, env.default_params)
+    def step(states, actions, over=(False,) * WORLDS, slots=(0,) * WORLDS):
+        return follow(
+            states, jnp.asarray(actions, jnp.float32), jnp.asarray(over), jnp.asarray(slots), env.default_params
+        )
 
     return lambda slots: initial(jnp.asarray(slots), env.default_params), step
 
@@ -55,14 +57,16 @@ def test_same_seed_same_first_observation(env):
     seen, (session, wanted) = _observed(env, states), _native(env)
     assert set(seen) == set(wanted)
     for name, value in wanted.items():
-        assert seen[name].dtype == value.dtype and seen[name].shape == value.shape
+        assert seen[name].dtype == value.dtype
+        assert seen[name].shape == value.shape
         np.testing.assert_allclose(seen[name], value, atol=1e-4, err_msg=name)
         assert all(one in env.observation_space[name] for one in seen[name])
     info, native = jax.device_get(jax.vmap(env.state_info)(states)), session.info(np.arange(WORLDS))
     assert set(info) == set(native)
     for name in set(info) - {"seed", "fault"}:
         np.testing.assert_allclose(info[name], native[name], atol=1e-4, err_msg=name)
-    assert (info["seed"][:, 0] == native["seed"]).all() and not info["fault"].any()
+    assert (info["seed"][:, 0] == native["seed"]).all()
+    assert not info["fault"].any()
 
 
 def test_equal_commands_lead_to_the_same_places(env):
@@ -133,7 +137,7 @@ def test_the_next_episode_begins_by_itself(env):
 
 def test_episodes_end_at_the_goal_and_at_the_horizon(env):
     states = _functions(env)[0](np.arange(WORLDS))
-    there = states._replace(arrived=jnp.array([True, False, True]), steps=jnp.array([5, 60, 60]), fault=jnp.array([False] * 3))
+    there = states._replace(arrived=jnp.array([True, False, True]), steps=jnp.array([5, 60, 60]))
     assert jax.vmap(env.terminal)(there).tolist() == [True, False, True]
     assert jax.vmap(env.truncation)(there).tolist() == [False, True, False]
 
@@ -148,7 +152,8 @@ def test_worlds_on_the_device_take_each_episode_once(env):
             carry = carry._replace(over=jnp.ones(WORLDS, bool))
             carry, outcome = step(carry, jnp.zeros((WORLDS, 2)), worlds.ready())
             worlds.done(carry)
-            assert np.asarray(outcome.began).all() and not np.asarray(outcome.reward).any()
+            assert np.asarray(outcome.began).all()
+            assert not np.asarray(outcome.reward).any()
             seeds += carry.states.drawn.seed[:, 0].tolist()
         assert seeds == list(range(SEED, SEED + len(seeds)))
     finally:
@@ -179,9 +184,11 @@ def _vector(output):
 
 def test_vector_form_is_the_native_one_but_for_rounding():
     env, native = _vector("numpy"), gymnasium.make_vec("BSON/GlobalCamera-v0", num_envs=2, **SMALL)
-    assert env.observation_space == native.observation_space and env.action_space == native.action_space
+    assert env.observation_space == native.observation_space
+    assert env.action_space == native.action_space
     (seen, info), (wanted, told) = env.reset(seed=7), native.reset(seed=7)
-    assert set(info) == set(told) and info["seed"].tolist() == [7, 8]
+    assert set(info) == set(told)
+    assert info["seed"].tolist() == [7, 8]
     over = np.zeros(2, bool)
     for number in range(10):
         assert env.observation_space.contains(seen)
@@ -190,16 +197,19 @@ def test_vector_form_is_the_native_one_but_for_rounding():
             np.testing.assert_allclose(seen[name][~over], wanted[name][~over], atol=5e-3, err_msg=name)
         assert (seen["map"] == wanted["map"]).all()
         off = np.abs(seen["rgb"].astype(int) - wanted["rgb"])
-        assert off.mean() < 3 and np.percentile(off, 98) < 25
+        assert off.mean() < 3
+        assert np.percentile(off, 98) < 25
         assert np.percentile(np.abs(seen["depth"] - wanted["depth"]), 98) < 0.01
-        assert np.isfinite(info["pose"]).all() and (info["fault"] == "").all()
+        assert np.isfinite(info["pose"]).all()
+        assert (info["fault"] == "").all()
         if number == 6:
             break
         action = np.tile([0.6, 0.3 * number - 0.5], (2, 1)).astype(np.float32)
         seen, reward, *ends, info = env.step(action)
         wanted, rewarded, *ended, _ = native.step(action)
         np.testing.assert_allclose(reward, rewarded, atol=1e-3)
-        assert np.array_equal(ends, ended) and reward.dtype == rewarded.dtype
+        assert np.array_equal(ends, ended)
+        assert reward.dtype == rewarded.dtype
 
 
 def test_vector_form_goes_on_with_other_episodes():
@@ -207,7 +217,7 @@ def test_vector_form_goes_on_with_other_episodes():
     env.reset(seed=7)
     seeds = []
     for _ in range(2 * SMALL["horizon"] + 2):
-        _, reward, terminated, truncated, info = env.step(np.zeros((2, 2)))
+        _, reward, *_, info = env.step(np.zeros((2, 2)))
         if (info["time"] == 0).any():
             seeds += info["seed"].tolist()
             assert not reward[info["time"] == 0].any()

@@ -60,4 +60,3 @@ def test_pictures_are_those_of_opengl():
         assert (off.max(axis=-1) > 16).mean() < 0.01  # edges
         depth = np.clip(depth, 0.3, 15.0)
         assert np.mean(np.abs(depth - far) > 0.01 + 3e-4 * far**2) < 0.01  # OpenGL's depth has steps
-

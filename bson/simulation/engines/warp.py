@@ -23,8 +23,9 @@ _SENSORS_OFF = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 class WarpConfig:
     """What the engine may take: limits of the solver, and room for contacts.
 
-    contacts: of all worlds together, per world, beside 64; people and a robot in a crowd have a dozen. rows: of one world's
-    constraints, per person, beside 64. Too few of either is an error where a world needs more, and the error tells which.
+    contacts: of all worlds together, per world, beside 64; people and a robot in a crowd have a dozen. rows: of one
+    world's constraints, per person, beside 64. Too few of either is an error where a world needs more, and the error
+    tells which.
     """
 
     solver: str = "newton"
@@ -64,12 +65,13 @@ class WarpEngine:
     model: the MjModel, with the solver's limits of `config`. people: how many pedestrians come first in it.
     """
 
-    def __init__(self, spec, people, nworld=1, config=WarpConfig()):
+    def __init__(self, spec, people, nworld=1, config=None):
         warp = _import_warp()
         from mujoco import mjx  # tells, where it is imported without Warp, that there is none
 
         self._mjx = mjx
-        self.config, self.nworld, self.people = config, nworld, people
+        self.config, self.nworld, self.people = config or WarpConfig(), nworld, people
+        config = self.config
         spec.option.iterations, spec.option.ls_iterations = config.iterations, config.ls_iterations
         spec.option.solver = SOLVERS[config.solver]
         self.model = model = spec.compile()
@@ -125,7 +127,9 @@ class WarpEngine:
         """The bits `overflow` of a step in one sentence."""
         told = []
         if overflow & _ROWS:
-            told.append(f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g})")
+            told.append(
+                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g})"
+            )
         if overflow & ~_ROWS:
             told.append(
                 f"the {self.nworld} worlds need more than {self.contacts} contacts: raise WarpConfig.contacts "
