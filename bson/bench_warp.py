@@ -1,6 +1,7 @@
 """How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, episodes that follow each
 other."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -68,7 +69,7 @@ def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0
         "worlds": worlds,
         "sensor": sensor,
         "model": model,
-        "solver": engine.solver,
+        "limits": dataclasses.asdict(engine),
         "steps_per_s": steps * worlds / elapsed,
         "steps": steps,
         "made_s": drawn - begin,
@@ -162,11 +163,13 @@ def _apart(case, train=False):
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _main(case):
-    """One case of JSON; prints its row as one line of JSON."""
+def _main(case, engine="{}"):
+    """One case of JSON, and WarpConfig's fields for it; prints its row as one line of JSON."""
+    case = json.loads(case)
+    case["engine"] = {**json.loads(engine), **case.get("engine", {})}
     measured = measure_training if case.pop("train", False) else measure
     print(json.dumps(measured(**case)), flush=True)
 
 
 if __name__ == "__main__":
-    _main(json.loads(sys.argv[1]))
+    _main(*sys.argv[1:])

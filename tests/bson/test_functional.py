@@ -11,9 +11,11 @@ pytest.importorskip("warp")
 import jax
 import jax.numpy as jnp
 
+import bson
 from bson import robot
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
+from bson.sensors import Imu, Lidar2D
 from bson.session import Session
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Pool
@@ -245,3 +247,45 @@ def test_what_the_vector_form_lacks_is_told_in_one_line():
     for words, arguments in refused.items():
         with pytest.raises(ValueError, match=words):
             gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="warp", **arguments)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bson.ENVIRONMENTS)
+def test_every_environment_has_both_forms(name):
+    kwargs = bson.ENVIRONMENTS[name]
+    settings = {**SMALL, "pedestrian_model": {"macid": 1.0, "orca": 1.0, "standing": 1.0}, "pedestrian_period": 0.02}
+    env = BsonFuncEnv(**kwargs, num_envs=2, seed=5, **settings)
+    native = gymnasium.make_vec(name, num_envs=2, **settings)
+    wanted, _ = native.reset(seed=5)
+    initial, transition = jax.jit(jax.vmap(env.initial, in_axes=(0, None))), jax.jit(jax.vmap(env.transition))
+    state, keys = initial(jnp.arange(2), env.default_params), jax.random.split(jax.random.key(0), 2)
+    assert jax.vmap(env.fresh, in_axes=(0, None))(keys, env.default_params).steps.tolist() == [0, 0]
+    for number in range(4):
+        seen = _observed(env, state)
+        assert env.observation_space.spaces.keys() == seen.keys()
+        for row in range(2):
+            assert {key: value[row] for key, value in seen.items()} in env.observation_space
+        for key in set(wanted) - {"rgb", "depth"}:
+            off = np.abs(seen[key].astype(float) - wanted[key])
+            assert np.percentile(off, 99) < 0.01, key
+        if number == 3:
+            break
+        action = jnp.array([[0.5, 0.5], [1.0, -0.2]])
+        state = transition(state, action)
+        wanted, *_ = native.step(np.asarray(action))
+
+
+@pytest.mark.slow
+def test_noise_and_rates_are_those_of_the_sensors():
+    sensors = Imu(noise=1.0), Lidar2D(noise=20.0, rate=5.0), Lidar2D(key="clean")
+    env = BsonFuncEnv("local", sensors, 2, seed=5, **SMALL)
+    state = jax.jit(jax.vmap(env.initial, in_axes=(0, None)))(jnp.arange(2), env.default_params)
+    off = np.asarray(state.readings["lidar"] - state.readings["clean"])
+    assert 0.01 < off.std() < 0.03
+    assert not np.array_equal(off[0], off[1])
+    transition = jax.jit(jax.vmap(env.transition))
+    after = transition(state, jnp.zeros((2, 2)))
+    assert (np.asarray(after.readings["lidar"]) == np.asarray(state.readings["lidar"])).all()
+    assert (np.asarray(after.readings["imu"]) != np.asarray(state.readings["imu"])).all()
+    last = transition(after, jnp.zeros((2, 2)))
+    assert (np.asarray(last.readings["lidar"]) != np.asarray(after.readings["lidar"])).mean() > 0.9
