@@ -33,11 +33,12 @@ class BsonFuncEnv(FuncEnv):
 
     num_envs: how many worlds are to be stepped together under jax.vmap: physics has room for the contacts of so many.
     pool: how many episodes `default_params` has, with the seeds `seed`, `seed + 1`, ...; drawn when first asked for.
-    engine: WarpConfig, its limits. config: fields of `bson.task.TaskConfig`.
+    engine: WarpConfig, its limits. task: a TaskConfig (default: the paper's); config: fields of it that differ.
     """
 
-    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=None, **config):
-        self.config = TaskConfig().replace(**config)
+    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=None, task=None,
+    **config):
+        self.config = (task or TaskConfig()).replace(**config)
         self.track = make_track(track, sensor)
         self.num_envs, self._pool_size, self._seed = num_envs, num_envs if pool is None else pool, seed
         self.world = BatchedWorld(self.config, self.track.sensors, num_envs, engine or WarpConfig())

@@ -20,6 +20,7 @@ from bson.session import Session
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Pool
 from bson.task import TaskConfig
+from bson.tracks import make_track
 
 WORLDS, SEED = 3, 3
 CONFIG = {"num_pedestrians": 5, "obstacle_density": 0.5, "map_size": 12.0, "goal_distance": (6.0, 12.0), "horizon": 60}
@@ -289,3 +290,26 @@ def test_noise_and_rates_are_those_of_the_sensors():
     assert (np.asarray(after.readings["imu"]) != np.asarray(state.readings["imu"])).all()
     last = transition(after, jnp.zeros((2, 2)))
     assert (np.asarray(last.readings["lidar"]) != np.asarray(after.readings["lidar"])).mean() > 0.9
+
+
+@pytest.mark.slow
+def test_a_shipped_policy_scores_alike_on_a_device():
+    from bson.evaluate import run_episodes
+    from bson.interfaces.play import LearnedOnDevice, play
+    from bson.metrics import measure
+
+    config = TaskConfig(
+        num_pedestrians=3, pedestrian_model="standing", map_size=14.0, goal_distance=(5.0, 9.0), horizon=150
+    )
+    seeds = [3, 4, 5, 6]
+    ours = play(LearnedOnDevice("ppo"), config, seeds)
+    agent = learned.load("ppo")
+    native = run_episodes(agent, config, make_track(agent.track, agent.sensor), seeds)
+    for one, other in zip(ours, native, strict=True):
+        assert one.seed == other.seed and one.arrived == other.arrived
+        np.testing.assert_allclose(one.boxes, other.boxes)
+        assert one.shortest == other.shortest
+        assert one.duration == pytest.approx(other.duration, abs=0.3)
+        np.testing.assert_allclose(one.pose[:10], other.pose[:10], atol=1e-2)
+        assert measure(one).keys() == measure(other).keys()
+        assert measure(one)["SNS"] == pytest.approx(measure(other)["SNS"], abs=3.0)
