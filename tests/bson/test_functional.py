@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 import bson
 from bson import robot
+from bson.agents import learned
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.sensors import Imu, Lidar2D
@@ -306,7 +307,7 @@ def test_a_shipped_policy_scores_alike_on_a_device():
     agent = learned.load("ppo")
     native = run_episodes(agent, config, make_track(agent.track, agent.sensor), seeds)
     for one, other in zip(ours, native, strict=True):
-        assert one.seed == other.seed and one.arrived == other.arrived
+        assert (one.seed, one.arrived) == (other.seed, other.arrived)
         np.testing.assert_allclose(one.boxes, other.boxes)
         assert one.shortest == other.shortest
         assert one.duration == pytest.approx(other.duration, abs=0.3)
