@@ -171,7 +171,7 @@ def _films(played, cells, track, folder, number, name):
 
     from bson import film
     from bson.metrics import sns
-    from bson.world import build_model
+    from bson.simulation.scene import build_model
     from macid import drawing
 
     if number == 0:
@@ -192,7 +192,7 @@ def _films(played, cells, track, folder, number, name):
 
 
 def _evaluate(args):
-    from bson.agents import load_agent
+    from bson.agents import check_settings, load_agent
     from bson.evaluate import format_summary, results, sound
     from bson.report import make_report
     from bson.resume import Unfinished, basis, files_digest
@@ -203,9 +203,10 @@ def _evaluate(args):
     seeds = suite.drawn(args.episodes, args.seed)
     changes = _overrides(args.set)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in suite.cells]
-    make_agent = load_agent(args.agent)
+    make_agent = load_agent(args.agent, args.untrained_setting)
     track_names = _track_names(args, make_agent)
     track = make_track(*track_names)
+    check_settings(make_agent, [cell.config for cell in cells], track)
     for cell in cells:
         _check_spawn(cell.config, seeds)
     out = check_folder(args.out)
@@ -279,16 +280,17 @@ def _leaderboard(args):
 
 def _render(args):
     from bson import film
-    from bson.agents import load_agent
+    from bson.agents import check_settings, load_agent
     from bson.evaluate import run_episodes
+    from bson.simulation.scene import build_model
     from bson.task import TaskConfig
     from bson.tracks import make_track
-    from bson.world import build_model
     from macid import drawing
 
     config = TaskConfig().replace(**_overrides(args.set))
-    make_agent = load_agent(args.agent)
+    make_agent = load_agent(args.agent, args.untrained_setting)
     track = make_track(*_track_names(args, make_agent))
+    check_settings(make_agent, [config], track)
     path = pathlib.Path(args.out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
@@ -336,7 +338,7 @@ def _train(args):
         args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds or 16, hyperparameters=hyperparameters
     )
     start.cleaning_up()
-    folder = train_with_bar(config, args.out, args.resume)
+    folder = train_with_bar(config, args.out, args.resume, args.tensorboard)
     print(
         f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
     )
@@ -439,6 +441,11 @@ def _add_setting(command):
     command.add_argument("--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]")
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
+    command.add_argument(
+        "--untrained-setting",
+        action="store_true",
+        help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
+    )
     _add_task(command)
 
 
@@ -535,6 +542,7 @@ def parser():
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")

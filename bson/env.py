@@ -7,10 +7,11 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from bson.session import Recorder, Session
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
+from bson.simulation.world import check_worlds
 from bson.task import TaskConfig
 from bson.tracks import make_track, sensor_documents
-from bson.world import check_worlds
 from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)

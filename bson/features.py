@@ -11,8 +11,8 @@ SECTORS = 36
 RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
 SCANS = (0, 2, 4)  # how many control steps ago the scans were that are seen
 FEATURES = 6 + len(SCANS) * SECTORS
+TOP = (2.0, 2.0)  # the Jackal's top speed and yaw rate [m/s, rad/s]
 _GOAL_RANGE = 20.0  # [m]
-_SPEEDS = np.array([2.0, 2.0], np.float32)  # of the Jackal [m/s, rad/s]
 
 
 def closeness(lidar):
@@ -22,21 +22,22 @@ def closeness(lidar):
     return xp.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
 
 
-def motion(observation):
-    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as
-    shares."""
+def motion(observation, top=TOP):
+    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares
+    of `top` (2,) [m/s, rad/s]."""
     goal = observation["goal"]
     xp = goal.__array_namespace__()
     distance = xp.linalg.norm(goal, axis=-1, keepdims=True)
     near, far = xp.exp(-distance), xp.minimum(distance / _GOAL_RANGE, 1.0)
-    columns = [goal / xp.maximum(distance, 1e-6), near, far, observation["velocity"] / _SPEEDS]
+    columns = [goal / xp.maximum(distance, 1e-6), near, far, observation["velocity"] / np.asarray(top, np.float32)]
     return xp.concatenate(columns, axis=-1).astype(np.float32)
 
 
 class Features:
-    """Features of `count` robots, with a memory of their last scans."""
+    """Features of `count` robots, with a memory of their last scans. top: see `motion`."""
 
-    def __init__(self, count):
+    def __init__(self, count, top=TOP):
+        self._top = top
         self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
 
     def begin(self, rows, observation):
@@ -52,7 +53,7 @@ class Features:
         return self._vector(rows, observation)
 
     def _vector(self, rows, observation):
-        return vector(self._scans[rows], observation)
+        return vector(self._scans[rows], observation, self._top)
 
 
 def remember(scans, lidar, began):
@@ -64,8 +65,9 @@ def remember(scans, lidar, began):
     return xp.where(began[:, None, None], xp.broadcast_to(new, longer.shape), longer)
 
 
-def vector(scans, observation):
-    """Features (N, FEATURES) of robots with the `scans` (N, SCANS[-1] + 1, SECTORS) and `observation`."""
+def vector(scans, observation, top=TOP):
+    """Features (N, FEATURES) of robots with the `scans` (N, SCANS[-1] + 1, SECTORS) and `observation`; top: see
+    `motion`."""
     xp = scans.__array_namespace__()
     seen = scans[:, np.array(SCANS)].reshape(-1, len(SCANS) * SECTORS)
-    return xp.concatenate([motion(observation), seen], axis=-1)
+    return xp.concatenate([motion(observation, top), seen], axis=-1)

@@ -10,8 +10,8 @@ import sys
 
 import numpy as np
 
+from bson.episodes.record import Episode
 from bson.evaluate import versions
-from bson.metrics import Episode
 from bson.tracks import make_track, sensor_settings
 from macid import assets
 from macid.documents import parse, read_bytes

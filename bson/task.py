@@ -8,7 +8,7 @@ import numpy as np
 
 from bson.robot import JACKAL, RobotConfig, robot_config
 from macid import layout as layouts
-from macid.documents import check_values, is_number, shown
+from macid.documents import is_number, shown
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
@@ -98,8 +98,6 @@ class TaskConfig:
         if self.lcf_each is not None:
             object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
         object.__setattr__(self, "reward", _weights(self.reward))
-        if isinstance(self.robot, dict):
-            check_values(self.robot, _tell_robot)
         object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
             controller(name, self.decision_period)
@@ -154,10 +152,6 @@ class TaskConfig:
         if self.map is not None and "map" in changes:  # its size went with it
             changes = {"map_size": MAP_SIZE, **changes}
         return dataclasses.replace(self, **changes)
-
-
-def _tell_robot(key, problem):
-    raise ValueError(f"robot{f', key {shown(key)}' if key else ''}: {problem}.")
 
 
 def controller(name, period):

@@ -123,7 +123,14 @@ def _train(args):
         **{name: value for name, value in given.items() if value is not None},
     )
     out = check_folder(args.out)
-    train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
+    train(
+        config,
+        out,
+        args.seeds,
+        resume=args.resume,
+        show=lambda line: print(line, flush=True),
+        tensorboard=args.tensorboard,
+    )
     for seed in range(args.seed, args.seed + args.seeds):
         folder = out / f"{config.name}-{seed}"
         print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
@@ -208,6 +215,7 @@ def parser():
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    train.add_argument("--tensorboard", action="store_true", help="also log the curves for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)

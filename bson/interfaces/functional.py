@@ -17,11 +17,11 @@ import numpy as np
 from gymnasium.experimental.functional import FuncEnv
 
 from bson.simulation.batched import COLLISIONS, BatchedWorld
+from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.engines.warp import WarpConfig
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig
 from bson.tracks import GlobalTrack, make_track, velocity_limit
-from bson.world import MAP_RESOLUTION
 from macid import geometry
 from macid.reward import individual_reward
 

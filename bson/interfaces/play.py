@@ -11,13 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from bson.agents import learned
+from bson.episodes.record import Episode, shortest_way
 from bson.features import SCANS, SECTORS, remember, vector
 from bson.interfaces.functional import BsonFuncEnv
-from bson.metrics import Episode
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig, spawn
-from macid.routing import Router
 
 _CHUNK = 50  # control steps between two looks at whether all episodes are over
 
@@ -29,6 +28,7 @@ class LearnedOnDevice:
 
     def __init__(self, name):
         agent = learned.load(name)()
+        self._top = agent.top
         self._layers = [tuple(map(jnp.asarray, layer)) for layer in agent.layers]
         self._output = {"clip": lambda x: jnp.clip(x, -1.0, 1.0), "tanh": jnp.tanh}[agent.output]
 
@@ -43,7 +43,7 @@ class LearnedOnDevice:
         scans, first = memory
         longer = remember(scans, observation["lidar"], jnp.zeros(scans.shape[0], bool))
         scans = jnp.where(first, scans, longer)
-        x = vector(scans, observation)
+        x = vector(scans, observation, self._top)
         with jax.default_matmul_precision("float32"):
             for weight, bias in self._layers[:-1]:
                 x = jnp.maximum(x @ weight + bias, 0.0)
@@ -122,15 +122,11 @@ def _episode(config, seed, rows):
     rows = {name: value[: last + 1] for name, value in rows.items()}
     drawn = spawn(config, np.random.default_rng(seed))
     start, goal = drawn.robot[:2], drawn.goal
-    try:
-        way = Router(drawn.layout, config.robot.radius).path(start, goal)
-    except ValueError:  # a passage may be wider than the robot and narrower than a grid can tell
-        way = goal[None]
     recorded = ("pose", "velocity", "people", "people_velocity", "qpos", "nearest_person")
     return Episode(
         seed=seed,
         start_distance=float(np.hypot(*(goal - start))),
-        shortest=float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum()),
+        shortest=shortest_way(drawn.layout, start, goal, config.robot.radius),
         final_distance=float(end["distance"]),
         travelled=float(end["travelled"]),
         duration=float(np.round(end["steps"] * config.control_period, 9)),

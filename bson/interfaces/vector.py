@@ -13,7 +13,7 @@ from bson.env import ACTION_SPACE, Specified, check_seed, frames_per_second
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.simulation.engines.warp import WarpConfig
-from bson.world import check_worlds
+from bson.simulation.world import check_worlds
 from macid.documents import shown
 
 OUTPUTS = ("numpy", "jax", "torch")

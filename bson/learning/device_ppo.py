@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
+from bson.agents import learned
+from bson.agents.contract import Setting
 from bson.features import FEATURES, SCANS, SECTORS, remember, vector
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
@@ -119,6 +121,8 @@ class DevicePpo:
         self.config, self.hyper = config, config.hyperparameters
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, **config.task)
         self._ahead = 2 * self.hyper.rollout  # an iteration that runs, and one that is asked for
+        self._top = (env.config.robot.max_speed, env.config.robot.max_yaw_rate)
+        self.setting = Setting.of(env.config, env.track)  #: in which it learns
         self.first_seed = 2**32 * (config.seed + 1)  # of its episodes
         self.worlds = DeviceWorlds(env, self.first_seed, workers=workers, ahead=self._ahead)
         hyper, number = self.hyper, config.num_envs * self.hyper.rollout
@@ -160,7 +164,7 @@ class DevicePpo:
         return Stream(carry, scans, seen, jnp.zeros(number, jnp.float32))
 
     def _act(self, parameters, stream, key):
-        x = vector(stream.scans, stream.seen)
+        x = vector(stream.scans, stream.seen, self._top)
         mean, log_std = network(parameters["policy"]["layers"], x), parameters["policy"]["log_std"]
         z = jax.random.normal(key, mean.shape)
         return x, mean + jnp.exp(log_std) * z, ppo.gaussian_log_density(z, log_std)
@@ -183,7 +187,7 @@ class DevicePpo:
             {name: outcome.observation[name] for name in ("goal", "velocity")},
             earned,
         )
-        learned = {
+        noted = {
             "x": x,
             "action": action,
             "log_probability": log_probability,
@@ -191,7 +195,7 @@ class DevicePpo:
             "reward": reward,
             "ends": outcome.terminated | outcome.began,
         }
-        return after, (learned, ended.sum(), (figures * ended[:, None]).sum(axis=0))
+        return after, (noted, ended.sum(), (figures * ended[:, None]).sum(axis=0))
 
     def _iterate(self, learner, stream, episodes):
         """A rollout and the update by it: (Learner, Stream, figures {name: ()}, tally)."""
@@ -200,7 +204,7 @@ class DevicePpo:
         keys = jax.random.split(acting, self.hyper.rollout)
         step = functools.partial(self._step, parameters, episodes)
         stream, (data, ended, figures) = jax.lax.scan(step, stream, keys)
-        last = network(parameters["value"], vector(stream.scans, stream.seen))[..., 0]
+        last = network(parameters["value"], vector(stream.scans, stream.seen, self._top))[..., 0]
         advantage, target = ppo.gae(
             data["reward"], data["value"], last, self.hyper.gamma, self.hyper.lam, data["ends"], "end"
         )
@@ -311,6 +315,7 @@ def _train(trainer, folder, show, every):
         "steps_done": int(learner.done) * per,
         "seconds": round(spent + time.monotonic() - begin, 1),
         "output": "clip",
+        "setting": learned.setting_document(trainer.setting),
         "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(curve, 60)],
     }
     write_network(folder / "policy", trainer.layers(learner), recipe)

@@ -1,1 +1,1 @@
-"""Worlds of pedestrians and a robot, and the engines that move them."""
+"""Many worlds at once: their scene, physics behind an engine, people who decide, contacts that are counted."""

@@ -1,5 +1,5 @@
-"""One world of the benchmark as pure functions on JAX, that jax.vmap makes many: what `bson.world.World` does, by the
-same rules, on a device.
+"""One world of the benchmark as pure functions on JAX, that jax.vmap makes many: what `bson.simulation.world.World`
+does, by the same rules, on a device.
 
 An episode goes `begin` -> `sense`, then `advance` -> `sense` for each control step.
 """
@@ -13,20 +13,20 @@ import mujoco
 import numpy as np
 
 from bson import robot, sensors
-from bson.simulation import pictures, rays
+from bson.simulation import contacts, pictures, rays
 from bson.simulation.engines.warp import Motion, WarpEngine
+from bson.simulation.faults import DIVERGED
 from bson.simulation.pool import Drawn
+from bson.simulation.scene import build_spec
 from bson.task import TaskConfig, controller
-from bson.world import APPROACH, build_spec
 from macid import geometry, physics
-from macid.state import CONTACT_GAP, GOAL_RADIUS, PHYSICS_STEP, RADIUS, CrowdState
+from macid.state import CONTACT_GAP, GOAL_RADIUS, CrowdState
 
-COLLISIONS = ("collisions", "collisions_person", "collisions_robot_on_person", "collisions_obstacle", "collisions_wall")
-_DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
+COLLISIONS = ("collisions", *contacts.COUNTERS)
 
 
 class State(NamedTuple):
-    """Where a world stands; each as in `bson.world.World`, where nothing else is said."""
+    """Where a world stands; each as in `bson.simulation.world.World`, where nothing else is said."""
 
     drawn: Drawn  #: how its episode began
     motion: Motion
@@ -112,7 +112,7 @@ class BatchedWorld:
                 after = self._decide_and_move(after)
         after = after._replace(steps=state.steps + 1)
         speed = jnp.abs(after.motion.qvel[: 3 * self._k + 6])
-        sound = jnp.isfinite(after.motion.qpos).all() & (speed <= _DIVERGED).all() & ~state.fault
+        sound = jnp.isfinite(after.motion.qpos).all() & (speed <= DIVERGED).all() & ~state.fault
         still = state.motion._replace(qvel=jnp.zeros_like(state.motion.qvel))
         failed = state._replace(motion=still, fault=jnp.bool_(True), overflow=after.overflow)
         return _chosen(sound, after, failed)
@@ -172,19 +172,11 @@ class BatchedWorld:
         reached = (offset**2).sum(axis=-1) <= GOAL_RADIUS**2
         return state._replace(stage=state.stage + reached)
 
-    def _gaps(self, poses, qpos):
-        """Surface gaps (..., K) [m] between the footprint at `poses` (..., 3) and the people of `qpos` (..., nq)."""
-        box = robot.footprint(poses, self.config.robot)[..., None, None, :]
-        return geometry.point_box_distance(self._people(qpos), box)[..., 0] - RADIUS
-
     def _account(self, before, qpos, boxes):
         """The way [m] and the steps in contact (5,) of physics steps `qpos` (s, nq) after the pose `before` (3,)."""
         poses = robot.planar_pose(self._robot(qpos))
         way = jnp.diff(jnp.concatenate([before[None], poses]), axis=0)[:, :2]
-        touched = self._gaps(poses, qpos) <= CONTACT_GAP
-        offset = self._people(qpos) - poses[:, None, :2]
-        closing = (way[:, None] * offset).sum(axis=-1) > APPROACH * PHYSICS_STEP * geometry.norm(offset)
-        person, towards = touched.any(axis=-1), (touched & closing).any(axis=-1)
+        person, towards = contacts.touches_people(poses, way, self._people(qpos), self.config.robot)
         everywhere = jnp.broadcast_to(boxes, (poses.shape[0], *boxes.shape))
         solid = geometry.box_box_gap(robot.footprint(poses, self.config.robot), everywhere) <= CONTACT_GAP
         wall, obstacle = solid[:, :4].any(axis=-1), solid[:, 4:].any(axis=-1)
@@ -216,7 +208,7 @@ class BatchedWorld:
             velocity=robot.planar_velocity(body, speed),
             distance=distance,
             arrived=distance <= GOAL_RADIUS,
-            nearest_person=self._gaps(pose, motion.qpos).min(axis=-1, initial=jnp.inf),
+            nearest_person=contacts.person_gaps(pose, solids.people, self.config.robot).min(axis=-1, initial=jnp.inf),
             readings=readings,
         )
         # A world whose physics failed shows what it showed last.

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bson import robot
-from bson.task import spawn, ways_checker
-from bson.world import MAP_RESOLUTION, _ways
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.people import find_ways, next_goals
+from bson.task import spawn
 from macid import layout
 from macid.routing import occupancy_grid
 
@@ -45,22 +46,6 @@ class Drawn(NamedTuple):
     map: Any  #: (cells, cells) uint8, see bson.tracks; (0, 0) unless asked for
 
 
-def _following_goals(config, drawn, rng, places):
-    """New goals (K, 2) for people at the goals `places` (K, 2). Raises NoFreeSpace."""
-    if drawn.layout.routes:
-        ends = [drawn.layout.routes[person % len(drawn.layout.routes)][[0, -1]] for person in range(len(places))]
-        far = [((pair - place) ** 2).sum(axis=-1).argmax() for pair, place in zip(ends, places, strict=True)]
-        return np.reshape([pair[which] for pair, which in zip(ends, far, strict=True)], (-1, 2))
-    return layout.sample_goals(
-        rng,
-        drawn.layout,
-        places,
-        config.people_goal_distance,
-        region=drawn.layout.regions.get("people_goal"),
-        joins=ways_checker(config, drawn.router),
-    )
-
-
 def _itineraries(config, drawn, rng):
     """Waypoints (K, W, 2) [m] of the people of a Spawn, and how many each has (K,)."""
     count, routed = config.people, drawn.router is not None or bool(drawn.layout.routes)
@@ -70,10 +55,10 @@ def _itineraries(config, drawn, rng):
     for number in range(goals if count else 0):
         if number:
             try:
-                places, ends = ends, _following_goals(config, drawn, rng, ends)
+                places, ends = ends, next_goals(config, drawn.layout, drawn.router, range(count), ends, rng)
             except layout.NoFreeSpace:  # then they go back from there
                 break
-        for chain, way in zip(chains, _ways(drawn.layout, drawn.router, range(count), places, ends), strict=True):
+        for chain, way in zip(chains, find_ways(drawn.layout, drawn.router, range(count), places, ends), strict=True):
             chain.extend(way)
     ways, turns = np.zeros((count, most, 2), np.float32), np.zeros(count, np.int32)
     for person, chain in enumerate(chains):

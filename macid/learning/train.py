@@ -19,7 +19,9 @@ from macid.learning import ppo as learning
 from macid.learning.curves import (
     CHECKPOINT,
     FILES,
+    Board,
     check_arrays,
+    check_tensorboard,
     damaged,
     plain,
     read_checkpoint,
@@ -381,12 +383,13 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
-def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0):
+def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, tensorboard=False):
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
     the first seed's. With MJX and several devices, they share the work.
 
+    tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
     resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
     something to keep. Raises ValueError if it is another configuration's or another process trains there,
     FloatingPointError if the training diverges.
@@ -397,14 +400,16 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     """
     configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
     paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
+    if tensorboard:
+        check_tensorboard()
     with contextlib.ExitStack() as held:
         for path in paths:
             held.enter_context(lock_folder(path, FILES, alone=("config.json",)))
-        return _train(configs, paths, resume, show, minutes_between_checkpoints)
+        return _train(configs, paths, resume, show, minutes_between_checkpoints, held if tensorboard else None)
 
 
-def _train(configs, paths, resume, show, minutes_between_checkpoints):
-    """`train`, of `configs` in the folders `paths`, which are locked."""
+def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
+    """`train`, of `configs` in the folders `paths`, locked. held: an ExitStack that closes Boards, or None."""
     config, seeds = configs[0], len(configs)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
     saved = read_checkpoint(folders[0], _Noted)
@@ -414,6 +419,9 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
     if saved:
         states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
+    boards = []
+    if held is not None:
+        boards = [held.enter_context(Board(*each)) for each in zip(folders, curves, strict=True)]
 
     def save():
         noted = {"configs": [plain(each) for each in configs], "curves": curves, "seconds": spent}
@@ -445,6 +453,8 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
                         f"Training of seed {configs[index].seed} diverged at iteration {done}: "
                         f"the {wrong[0]} is {values[wrong[0]]}."
                     )
+            for place, board in enumerate(boards):
+                board.write(curves[place][-1])
             if now - last_show > 5.0 or done == trainer.iterations:
                 last_show = now
                 figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())

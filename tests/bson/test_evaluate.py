@@ -6,11 +6,11 @@ import pytest
 
 from bson.agents import load_agent
 from bson.cli import main
+from bson.episodes.session import Session
 from bson.evaluate import format_summary, pair, results, run_episodes
 from bson.metrics import METRICS, measure
 from bson.report import make_report
 from bson.resume import basis, files_digest
-from bson.session import Session
 from bson.suites import Cell
 from bson.task import TaskConfig
 from bson.tracks import make_track
@@ -130,7 +130,7 @@ def broken(tmp_path_factory):
     def failing(self, ids, action):
         for index in ids:
             if self.world.seed[index] == 1 and self.world.steps[index] == 5:
-                self.world._qvel[index, 3] = np.nan
+                self.world.engine.qvel[index, 3] = np.nan
         return step(self, ids, action)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import bson
 from bson import robot
 from bson.agents import learned
+from bson.episodes.session import Session
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.sensors import Imu, Lidar2D
-from bson.session import Session
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Pool
 from bson.task import TaskConfig
@@ -96,12 +96,12 @@ def test_equal_commands_lead_to_the_same_places(env):
 def _placed(states, session, pose, people=None):
     """Both engines' worlds with the robot at `pose` (3,), and the people at `people` (K, 2), all at rest."""
     world, k = session.world, session.config.people
-    qpos = np.array(world._qpos)
+    qpos = np.array(world.engine.qpos)
     qpos[:, 3 * k : 3 * k + 7] = robot.spawn_qpos(*pose, session.config.robot)
     if people is not None:
         for axis in range(2):
             qpos[:, axis : 3 * k : 3] = people[:, axis]
-    world._qpos[:], world._qvel[:], world._warmstart[:] = qpos, 0.0, 0.0
+    world.engine.qpos[:], world.engine.qvel[:] = qpos, 0.0
     world._sense(np.arange(world.nworld))
     zero = jnp.zeros_like(states.motion.qvel)
     motion = states.motion._replace(qpos=jnp.asarray(qpos, jnp.float32), qvel=zero, warmstart=zero)

@@ -1,12 +1,13 @@
 """Rays and pictures as formulas, against MuJoCo's rays and OpenGL's pictures."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from bson.sensors import DepthCamera, Lidar2D, Lidar3D, RgbCamera
 from bson.simulation import pictures, rays
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.world import World
 from macid.drawing import Unavailable
 
 CONFIG = TaskConfig(num_pedestrians=20, obstacle_density=0.4, map_size=24.0, goal_distance=(6.0, 15.0))
@@ -15,8 +16,8 @@ CONFIG = TaskConfig(num_pedestrians=20, obstacle_density=0.4, map_size=24.0, goa
 def _tilted(world, seed):
     """Begins an episode, and tilts the robot by up to some ten degrees."""
     world.reset([0], [seed])
-    turn = np.random.default_rng(seed).uniform(-0.1, 0.1, 4) + world._qpos[0, world._robot_qpos][3:]
-    world._qpos[0, world._robot_qpos.start + 3 : world._robot_qpos.stop] = turn / np.linalg.norm(turn)
+    turn = np.random.default_rng(seed).uniform(-0.1, 0.1, 4) + world.engine.qpos[0, world._robot_qpos][3:]
+    world.engine.qpos[0, world._robot_qpos.start + 3 : world._robot_qpos.stop] = turn / np.linalg.norm(turn)
     world._sense(np.array([0]))
     return rays.Solids(world.people[0, :, :2].copy(), world.boxes[0], CONFIG.map_size / 2 + 1.0)
 
@@ -28,8 +29,9 @@ def test_beams_are_those_of_mujoco(seed):
     solids = _tilted(world, seed)
     for sensor in sensors:
         site = world.model.site(f"robot/{sensor.key}_beams").id
-        place = world.batch.bind("site_xpos")[0, site]
-        frame = world.batch.bind("site_xmat")[0, site].reshape(3, 3)
+        data = world.engine.data(0)
+        mujoco.mj_forward(world.model, data)
+        place, frame = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
         found = rays.first(place, sensor.directions @ frame.T, solids)
         found = np.clip(found, sensor.range_min, sensor.range_max)
         np.testing.assert_allclose(found, world.readings[sensor.key][0], atol=1e-5)
@@ -43,7 +45,7 @@ def test_pictures_are_those_of_opengl():
         pytest.skip("no OpenGL")
     for seed in (1, 2):
         solids = _tilted(world, seed)
-        body = world._qpos[0, world._robot_qpos]
+        body = world.engine.qpos[0, world._robot_qpos]
         w, x, y, z = body[3:]
         frame = np.array(
             [

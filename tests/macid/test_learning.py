@@ -479,3 +479,58 @@ def test_a_training_that_diverges_is_told(tmp_path):
     with pytest.raises(FloatingPointError, match="diverged at iteration [12]: the .* is (nan|inf)"):
         train(config, tmp_path, show=lambda line: None)
     assert not list(tmp_path.glob("*/policy.npz"))
+
+
+def logged(folder):
+    """{tag: [(step, value), ...]} of what TensorBoard reads in a training's folder."""
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    events = accumulator.EventAccumulator(str(folder / "tensorboard")).Reload()
+    return {tag: [(one.step, one.value) for one in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+
+
+def test_tensorboard_shows_the_curve_of_each_seed_also_of_a_training_that_went_on(tmp_path, monkeypatch):
+    pytest.importorskip("tensorboard")
+    arrived, fetch, quiet = [], jax.device_get, {"show": lambda line: None, "seeds": 2, "tensorboard": True}
+
+    def interrupted(logs):
+        arrived.append(logs)
+        if len(arrived) == 3:
+            raise KeyboardInterrupt
+        return fetch(logs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(jax, "device_get", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            train(TINY, tmp_path, **quiet)
+    for seed in (0, 1):  # a row that a killed run logged after its checkpoint
+        with curves.Board(tmp_path / f"{TINY.name}-{seed}", done=10**6) as board:
+            board.write({"agent_steps": 1500, "reward": 1e6})
+    train(TINY, tmp_path, resume=True, **quiet)
+    for seed in (0, 1):
+        folder = tmp_path / f"{TINY.name}-{seed}"
+        rows, found = list(csv.DictReader((folder / "curve.csv").open())), logged(folder)
+        assert found.keys() == rows[0].keys() - {"agent_steps"}
+        for tag, series in found.items():
+            expected = [float(row[tag]) for row in rows]
+            assert [step for step, _ in series] == [500, 1000, 1500, 2000]
+            assert [value for _, value in series] == pytest.approx(expected, rel=1e-5, abs=1e-9)
+
+
+def test_a_log_that_begins_late_has_the_whole_curve(tmp_path):
+    pytest.importorskip("tensorboard")
+    rows = [{"steps": step, "score": step / 8} for step in (10, 20, 30, 40)]
+    for count in (2, 3):
+        with curves.Board(tmp_path, rows[:count]) as board:
+            board.write(rows[count])
+    assert logged(tmp_path) == {"score": [(row["steps"], row["score"]) for row in rows]}
+
+
+@pytest.mark.parametrize("package", ["macid", "bson"])
+def test_without_tensorboard_one_line_says_what_to_install(tmp_path, package):
+    code = f"import sys; sys.modules['tensorboard'] = None; from {package} import cli; sys.exit(cli.main(sys.argv[1:]))"
+    words = ["train", "--tensorboard", "--out", str(tmp_path / "runs")]
+    told = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
+    assert told.returncode == 2
+    wanted = "--tensorboard needs tensorboard: pip install 'bson-macid[tensorboard]'."
+    assert told.stderr.splitlines() == [f"{package}: error: {wanted}"]
+    assert not (tmp_path / "runs").exists()

@@ -1,1 +1,1 @@
-"""Physics engines of the robot's worlds, one a file."""
+"""What computes physics, rays and pictures of many worlds: one file an engine, all of them as `base.Engine` says."""
