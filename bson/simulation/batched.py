@@ -60,7 +60,7 @@ class BatchedWorld:
     def __init__(self, config: TaskConfig, mounted=(), nworld=1, engine=None):
         self.config, self.sensors, self.nworld = config, tuple(mounted), nworld
         spec = build_spec(config, self.sensors, hidden=True)
-        self.engine = WarpEngine(spec, config.people, nworld, engine)
+        self.engine = WarpEngine(spec, config.people, engine)
         self.model = model = self.engine.model
         self.robot = robot.describe(config.robot)
         self._wheels = robot.wheel_actuators(model, self.robot)
