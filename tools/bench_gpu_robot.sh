@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
 # Measures the robot's worlds in MJX-Warp on a GPU, the most wanted figures first: bench_gpu_robot.sh [FILE] [LIMIT]
 # FILE (default: robot-gpu.jsonl) gets a line of JSON for each as it comes, or says which case failed; LIMIT (default: 600) is
-# after how many seconds no other case begins. Each case has a process of its own: compiled code of one engine that is thrown
-# away while another captures a CUDA graph makes that hang.
+# after how many seconds no other case begins. Each case has a process of its own, so that none meets what another compiled.
 set -u
 cd "$(dirname "$0")/.."
 file=${1:-robot-gpu.jsonl} limit=${2:-600} python=${PYTHON:-python3}

@@ -1,9 +1,10 @@
 """The robot's worlds in MuJoCo Warp: physics of many worlds at once on a GPU, and on a CPU for tests.
 
-The engine's functions are those of one world, and pure: jax.vmap makes it many, which Warp then steps together. Warp keeps
-a step's some hundred arrays of all worlds to itself; what passes between JAX and Warp are configuration, velocity, command
-and the boxes' places, once a control step. On a GPU the kernels of a step are captured as a CUDA graph, when worlds of a
-number are first asked for, and not while JAX computes: what JAX frees meanwhile is forbidden during a capture.
+The engine's functions are those of one world, and pure: jax.vmap makes it many, which Warp then steps together. Warp
+keeps a step's some hundred arrays of all worlds to itself; what passes between JAX and Warp are configuration,
+velocity, command and the boxes' places, once a control step. On a GPU the kernels of a step are captured as a CUDA
+graph, when worlds of a number are first asked for, and not while JAX computes: what JAX frees meanwhile is forbidden
+during a capture.
 
 A step agrees with MuJoCo's own to a tolerance, not bit for bit, and on a GPU two runs agree no better than that.
 """
