@@ -29,7 +29,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     output: what observations, rewards, ends and infos are: "numpy", or "jax" or "torch" arrays on the device, without a
     copy. With these `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and `info["fault"]` a bool.
     Actions may be any of the three. pool: episodes that are kept ready; workers: processes that draw them; None: as
-    many as are needed.
+    many as are needed. limits: a dict of fields of bson.simulation.engines.warp.WarpConfig.
     """
 
     metadata: ClassVar = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
