@@ -3,15 +3,12 @@
 Episodes are paired by cell and seed: there the robots met the same people on the same map.
 """
 
-import dataclasses
 import json
 import math
-import pathlib
 
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, METRICS, summarise
 from bson.page import BETTER, DASH, numbers, plural, render
-from bson.results import read_results
 from macid.documents import shown
 
 MAIN = (
@@ -22,32 +19,11 @@ BY_CELL = ("SNS", "success", "Coll")
 LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance in more than 5%
 
 
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """Results. source: where they lie, as the user named it; content: of results.json."""
-
-    source: str
-    content: dict
-
-    @property
-    def rows(self):
-        """{(cell, seed): metrics of the episode}."""
-        return {(row["cell"], row["seed"]): row for row in self.content["episodes"]}
-
-    @property
-    def configs(self):
-        """{cell: its configuration}."""
-        return {cell["name"]: cell["config"] for cell in self.content["cells"]}
-
-
-def load_run(source):
-    """The Run in `source`, a folder that `bson evaluate` wrote, or its results.json. Raises UsageError."""
-    path = pathlib.Path(source)
-    return Run(str(source), read_results(path / "results.json" if path.is_dir() else path))
-
-
 def check_comparable(runs):
-    """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting."""
+    """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting.
+
+    runs: bson.results.Results.
+    """
     first = runs[0]
     for run in runs[1:]:
         for key, what in (("suite", "suite"), ("overrides", "--set"), ("suite_digest", "digest of the suite")):

@@ -47,7 +47,7 @@ def _namesakes():
 def _packages():
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # MJX remarks that it has no Warp
         importlib.import_module("mujoco.mjx")
-    for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "scipy", "tqdm"):
+    for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "jinja2", "scipy", "tqdm"):
         importlib.import_module(name)
     return "all there"
 

@@ -200,7 +200,7 @@ def spread_by_score(episodes: list[Episode], most: int) -> list[Episode]:
     """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
     ranked = sorted(episodes, key=sns)
     places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)
-    return [ranked[place] for place in np.unique(places)]
+    return [ranked[place] for place in np.unique(places).tolist()]
 
 
 _DRAWN = 1 << 22  # values that are drawn at once, 32 MB

@@ -597,6 +597,13 @@ def _refuse_odd_bodies(model):
             raise ValueError(f"its {what} must be numbers of at most 1e6, not {most:.3g}.")
 
 
+def __getattr__(name):
+    """JACKAL, the Robot that others are compared with, once somebody asks: to read a robot is to compile it."""
+    if name != "JACKAL":
+        raise AttributeError(f"module 'bson.robot' has no attribute '{name}'")
+    return load_robot("jackal")
+
+
 @functools.lru_cache(64)
 def site_pose(robot, site):
     """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
@@ -612,17 +619,15 @@ def site_pose(robot, site):
     return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
 
 
-JACKAL = load_robot("jackal")
-
-
 def _namespace(array):
     """NumPy, or JAX for its arrays."""
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
-def wheel_speeds(command, robot=JACKAL):
-    """Speeds (..., W) [rad/s] of the Robot's hinges, ordered as its `wheels`, for `command` (..., 2): (v [m/s], w
-    [rad/s]), clipped."""
+def wheel_speeds(command, robot=None):
+    """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
+    (..., 2): (v [m/s], w [rad/s]), clipped."""
+    robot = robot or load_robot("jackal")
     config, xp = robot.config, _namespace(command)
     limit = np.array([config.max_speed, config.max_yaw_rate])
     speed, yaw_rate = xp.moveaxis(xp.clip(command, -limit, limit), -1, 0)
@@ -632,8 +637,9 @@ def wheel_speeds(command, robot=JACKAL):
     return xp.stack(sides, axis=-1) / config.rolling_radius * np.array(robot.forwards)
 
 
-def wheel_actuators(model, robot=JACKAL, name="robot"):
-    """Which entries (W,) of the MjModel's ctrl are the Robot's wheels, ordered as its `wheels`."""
+def wheel_actuators(model, robot=None, name="robot"):
+    """Which entries (W,) of the MjModel's ctrl are the Robot's (the Jackal's) wheels, ordered as its `wheels`."""
+    robot = robot or load_robot("jackal")
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
 
@@ -664,15 +670,17 @@ def planar_velocity(qpos, qvel):
     return xp.stack([ahead, qvel[..., 5]], axis=-1)
 
 
-def spawn_qpos(x, y, yaw, config=JACKAL.config):
-    """`qpos` (..., 7) of a robot that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
+def spawn_qpos(x, y, yaw, config=None):
+    """`qpos` (..., 7) of a robot (the Jackal) that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
+    config = config or load_robot("jackal").config
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
     place = np.stack([x, y, np.full(yaw.shape, config.spawn_height)], axis=-1)
     return np.concatenate([place, geometry.yaw_quaternion(np.asarray(yaw, dtype=float))], axis=-1)
 
 
-def footprint(pose, config=JACKAL.config):
-    """Box rows (..., 5), as in `macid.geometry`, that a robot at `pose` (..., 3) covers."""
+def footprint(pose, config=None):
+    """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
+    config = config or load_robot("jackal").config
     xp = _namespace(pose)
     pose = xp.asarray(pose)
     half_x, half_y = xp.full(pose.shape[:-1], config.half_length), xp.full(pose.shape[:-1], config.half_width)

@@ -91,6 +91,11 @@ class Sensor:
         """Adds to the scene `spec` what the sensor needs there."""
         raise NotImplementedError
 
+    def export(self, spec, robot="robot"):
+        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for programs
+        without this project. Returns what they must know, as JSON has it; nothing where they can't have its reading."""
+        return {}
+
     def bind(self, world, robot="robot"):
         """The reading function of a World, called once, when that is made: read(world, ids) -> (n, *space.shape).
 
@@ -229,6 +234,29 @@ class Lidar(Ranging):
         body, place, frame = self._place(spec, robot)
         body.add_site(name=f"{robot}/{self.key}_beams", pos=place, quat=_quaternion(frame), group=4, size=[0.002] * 3)
 
+    def export(self, spec, robot="robot"):
+        """A site and a rangefinder for each beam, in the reading's order; they don't see the body that carries them."""
+        mounted = spec.site(f"{robot}/{self.key}_beams")
+        frame, quaternion = np.empty(9), np.empty(4)
+        mujoco.mju_quat2Mat(frame, mounted.quat)
+        directions = self.directions
+        for index in np.ndindex(directions.shape[:-1]):
+            name = "/".join(map(str, (robot, self.key, *index)))
+            mujoco.mju_quatZ2Vec(quaternion, frame.reshape(3, 3) @ directions[index])
+            mounted.parent.add_site(name=name, pos=mounted.pos, quat=quaternion, group=4, size=[0.002] * 3)
+            spec.add_sensor(
+                name=name,
+                type=mujoco.mjtSensor.mjSENS_RANGEFINDER,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname=name,
+                intprm=[1 << int(mujoco.mjtRayDataField.mjRAYDATA_DIST), 0, 0],
+                cutoff=self.range_max,
+                noise=self.noise * self.sigma,
+            )
+        first = "/".join((robot, self.key, *("0" for _ in directions.shape[:-1])))
+        bounds = {"range_min": self.range_min, "range_max": self.range_max, "no_hit": -1.0}
+        return {"read_as": "beams", "first": first, "sensors": directions[..., 0].size, **bounds}
+
     def bind(self, world, robot="robot"):
         """The reading function: the engine's rays, which ignore the body that carries the sensor."""
         site, shape = world.model.site(f"{robot}/{self.key}_beams").id, self.directions.shape[:-1]
@@ -361,6 +389,10 @@ class Camera(Mounted):
             focal_length=[1.0, 1.0],
         )
 
+    def export(self, spec, robot="robot"):
+        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without shadows."""
+        return {"read_as": "picture", "camera": f"{robot}/{self.key}", "width": self.width, "height": self.height}
+
     def _bind(self, world, robot):
         """look(world, ids) -> RGB, depth: see `Engine.pictures`."""
         try:
@@ -418,6 +450,11 @@ class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
     sigma: float = 0.08 / (424 * 0.05)
     _sigma_unit = "1/m"
 
+    def export(self, spec, robot="robot"):
+        """As Camera.export, with the range that a depth is clipped to [m]."""
+        bounds = {"range_min": self.range_min, "range_max": self.range_max}
+        return {**super().export(spec, robot), "read_as": "depth", **bounds}
+
     def bind(self, world, robot="robot"):
         """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
         look = self._bind(world, robot)
@@ -462,6 +499,14 @@ class Imu(Sensor):
 
     def mount(self, spec, robot="robot"):
         """Nothing to add: the robot's model carries both sensors."""
+
+    def export(self, spec, robot="robot"):
+        """The robot's model has both sensors; here they saturate, too."""
+        kinds = {"accelerometer": (self.max_force, self.sigma_force), "gyro": (self.max_rate, self.sigma_rate)}
+        for kind, (most, sigma) in kinds.items():
+            sensor = spec.sensor(f"{robot}/imu_{kind}")
+            sensor.cutoff, sensor.noise = most, self.noise * sigma
+        return {"read_as": "imu", **{kind: f"{robot}/imu_{kind}" for kind in kinds}}
 
     def bind(self, world, robot="robot"):
         """The reading function."""

@@ -1,10 +1,12 @@
 """The `macid` command."""
 
 import pathlib
+import shlex
 import sys
 
 from macid import start
 from macid.command import (
+    MOST_PEOPLE,
     MOST_SEED,
     MOST_SEEDS,
     MOST_STEPS,
@@ -12,14 +14,13 @@ from macid.command import (
     MOST_WORLDS,
     PERIOD,
     Parser,
+    add_executor,
     check_words,
     name,
 )
 from macid.files import (
     HelpFormatter,
-    UsageError,
     check_file,
-    check_folder,
     new_folder,
     run_command,
     start_mujoco,
@@ -31,108 +32,95 @@ def _level(text):
     return int(text) if text.isdecimal() else text
 
 
-def _evaluate(args):
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf, usual_period
-    from macid.layout import load_level
+def _say(line):
+    print(line, file=sys.stderr, flush=True)
 
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    for level in args.levels:
-        load_level(level)
-    if args.bins and args.lcf:
-        raise UsageError("--bins has LCFs of its own: leave --lcf out.")
-    if args.bins:
-        ranges = lcf_bins(args.pedestrian)
-    else:
-        ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
-    configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = check_file(args.out, "JSON file")
-    rows = []
-    for level in args.levels:
-        print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
-        rows += [
-            evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
-        ]
-    with new_folder(out.parent):
-        write_json(out, rows)
+
+def _evaluate(args):
+    from macid import benchmark
+    from macid.evaluate import format_table
+
+    rows = benchmark.evaluate(
+        args.pedestrian,
+        args.levels,
+        episodes=args.episodes,
+        seed=args.seed,
+        period=args.period,
+        lcf=args.lcf,
+        bins=args.bins,
+        engine=args.engine,
+        out=args.out,
+        show=_say,
+    )
     print(format_table(rows))
-    print(f"Written to {out}")
+    print(f"Written to {pathlib.Path(args.out)}")
     return 0
 
 
 def _watch(args):
-    from tqdm import tqdm
+    from macid import benchmark
 
-    from macid import drawing, watch
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import level_name, table_lcf, usual_period
-    from macid.layout import load_level
-
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    people = load_level(args.level).pedestrians
-    path = pathlib.Path(args.out)
-    if path.suffix not in (".webm", ".png"):
-        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    check_file(path)
-    if not 0 < args.seconds <= 600:
-        raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
-    if args.follow is not None and not 0 <= args.follow < people:
-        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {args.follow}.")
-    if not 0.25 <= args.scale <= 2:
-        raise UsageError(f"--scale must be 0.25 to 2, not {args.scale:g}.")
-    if args.at is not None and path.suffix != ".png":
-        raise UsageError("--at is for a picture: let --out end in .png.")
-    if args.at is not None and not 0 <= args.at <= args.seconds:
-        raise UsageError(f"--at must be 0 to {args.seconds:g}, the episode's length in seconds, not {args.at:g}.")
-    lcf = tuple(args.lcf or table_lcf(args.pedestrian))
-    config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
-    if problem := drawing.gl_problem():
-        raise UsageError(f"No pictures here: {problem}")
-    print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
-    start.cleaning_up()
-    recording = watch.record(args.pedestrian, args.level, config, args.seed)
-    with new_folder(path.parent):
-        if path.suffix == ".png":
-            watch.still(recording, path, args.at, args.follow, args.scale)
-        else:
-            with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
-
-                def progress(done, total):
-                    bar.total = total
-                    bar.update()
-
-                watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+    path = benchmark.watch(
+        args.pedestrian,
+        args.out,
+        level=args.level,
+        lcf=args.lcf,
+        seed=args.seed,
+        seconds=args.seconds,
+        period=args.period,
+        speed=args.speed,
+        follow=args.follow,
+        at=args.at,
+        scale=args.scale,
+        show=_say,
+    )
     print(f"Written: {path}")
     return 0
 
 
+def _export(args):
+    from macid.crowd import CrowdConfig
+    from macid.evaluate import level_seed
+    from macid.export import export
+    from macid.layout import load_level
+    from macid.maps import load_map
+
+    if args.map and args.level is not None:
+        raise UsageError("--map and --level both say where: give one of them.")
+    level = 2 if args.level is None else args.level
+    layout, seed = (load_map(args.map), (args.seed,)) if args.map else (load_level(level), (args.seed, *level_seed(level)))
+    config = CrowdConfig(number=args.people or layout.pedestrians or CrowdConfig.number, period=args.period, lcf=tuple(args.lcf))
+    start.cleaning_up()
+    export(layout, args.out, config, seed, f"macid {shlex.join(args.argv)}")
+    print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
+    return 0
+
+
 def _train(args):
-    from macid.learning.train import preset, train
+    from macid import benchmark
 
     given = {
         "nworld": args.worlds,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
     }
-    config = preset(
-        args.preset,
-        method=args.method,
-        level=args.level,
+    folders = benchmark.train(
+        args.method,
+        args.out,
+        preset=args.preset,
         seed=args.seed,
+        seeds=args.seeds,
+        resume=args.resume,
+        tensorboard=args.tensorboard,
+        executor=args.executor,
+        ray_address=args.ray_address,
+        workers=args.workers,
+        show=lambda line: print(line, flush=True),
+        level=args.level,
         engine=args.engine,
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
-    out = check_folder(args.out)
-    train(
-        config,
-        out,
-        args.seeds,
-        resume=args.resume,
-        show=lambda line: print(line, flush=True),
-        tensorboard=args.tensorboard,
-    )
-    for seed in range(args.seed, args.seed + args.seeds):
-        folder = out / f"{config.name}-{seed}"
+    for folder in folders:
         print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
     return 0
 
@@ -201,6 +189,20 @@ def parser():
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
+    export = commands.add_parser(
+        "export",
+        help="write one seed's crowd as MJCF, for MuJoCo, its viewer and MJX without this project",
+        formatter_class=HelpFormatter,
+    )
+    export.add_argument("--level", type=_level, default=None, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
+    export.add_argument("--map", type=name, default=None, help="instead of a level, a map's name (bson list) or file")
+    export.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's or the map's, else 50)")
+    export.number("--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it")
+    export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
+    export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
+    export.add_argument("--out", type=name, required=True, help="folder, new or empty")
+    export.set_defaults(run=_export)
+
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
@@ -215,6 +217,7 @@ def parser():
     train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    add_executor(train)
     train.add_argument("--tensorboard", action="store_true", help="also log the curves for TensorBoard")
     train.set_defaults(run=_train)
 
@@ -237,7 +240,8 @@ def main(argv=None):
     def command():
         check_words(argv)
         args = parser().parse_args(argv)
-        start_mujoco()
+        args.argv = argv
+        start_mujoco(draws=args.run is not _export)
         return args.run(args)
 
     return run_command("macid", command)

@@ -14,6 +14,7 @@ import numpy as np
 
 from macid import geometry
 from macid.state import CONTACT_GAP, RADIUS, CrowdState
+from macid.threads import physics_threads
 
 ENGINES = ("native", "mjx")
 DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
@@ -114,7 +115,7 @@ class NativePhysics(_Engine):
 
     def __init__(self, model, number, boxes, nworld, nthread=0):
         super().__init__(model, number, boxes, nworld)
-        self._batch = mujoco.batch.Batch(model, nworld, nthread)
+        self._batch = mujoco.batch.Batch(model, nworld, nthread or physics_threads())
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._warmstart, self._ctrl = self._batch.bind("qacc_warmstart"), self._batch.bind("ctrl")
 

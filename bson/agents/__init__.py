@@ -15,6 +15,7 @@ import inspect
 import os
 import pathlib
 import sys
+from typing import Any
 
 from bson.agents import learned
 from bson.agents.contract import (
@@ -45,6 +46,7 @@ __all__ = [
     "Setting",
     "Unsuited",
     "act",
+    "agent_label",
     "agent_names",
     "check_settings",
     "load_agent",
@@ -82,15 +84,17 @@ def _help():
     )
 
 
-def load_agent(name: str, untrained: bool = False) -> AgentFactory:
+def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given),
-    or a trained one's file .npz.
+    or a trained one's file .npz; or the agent itself, a function or a class.
 
     Returns a factory: called with a Setting (without: the default one), it gives a callable for one world; its `track`
     and `sensor` name what the agent wants to be given (attributes of the agent; "local" and "lidar2d" without). The
     factory raises Unsuited where the agent can't drive in that setting. untrained: whether a trained one may drive in
     another setting than it was trained in. Raises AgentError.
     """
+    if not isinstance(name, str):
+        return _Factory(name, agent_label(name))
     if name in BUILT_IN:
         return _Factory(_from_module(*BUILT_IN[name].split(":"), name), name)
     if name in learned.names() or name.endswith(".npz"):
@@ -101,6 +105,14 @@ def load_agent(name: str, untrained: bool = False) -> AgentFactory:
     if not attribute:
         raise AgentError(f"Unknown agent '{name}'. {_help()}")
     return _Factory(_from_module(module, attribute, name), name)
+
+
+def agent_label(agent: Any) -> str:
+    """What tables call an agent: its name, of a function or a class module:name, or what it is of."""
+    if isinstance(agent, str):
+        return agent
+    kind = agent if hasattr(agent, "__qualname__") else type(agent)
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def _from_module(module, attribute, name):

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -37,9 +38,10 @@ class Session:
         engine: what moves the worlds (bson.simulation.engines)."""
         check_worlds("nworld", nworld)
         self.track, self.nworld, self._nthread, self._engine = track, nworld, nthread, engine
-        self._worlds, self._replaced = {}, 0
+        self._worlds: Any = {}  # by structure; None once closed
+        self._replaced = 0
         self.configure(config)
-        self._streams = [None] * nworld
+        self._streams: list[Any] = [None] * nworld
         self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
 
     @property
@@ -129,7 +131,7 @@ class Session:
         world, config = self.world, self.config
         if not world.begun(ids):
             raise gymnasium.error.ResetNeeded("Call reset before step.")
-        limit = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
+        limit = np.array([world.robot.config.max_speed, world.robot.config.max_yaw_rate])
         distance, collisions = world.distance[ids].copy(), world.collisions[ids].copy()
         world.step(ids, np.clip(action, -1.0, 1.0) * limit)
         failed = world.fault[ids] != ""

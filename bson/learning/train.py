@@ -15,6 +15,7 @@ from tqdm import tqdm
 from bson.agents import learned
 from bson.agents.contract import Setting
 from bson.evaluate import run_episodes, sound, versions
+from bson.evaluation.executors import carried_agent, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
@@ -25,6 +26,7 @@ from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import start
 from macid.documents import read_document
+from macid.executors import Carried
 from macid.files import UsageError, lock_folder
 from macid.learning.curves import (
     CHECKPOINT,
@@ -39,6 +41,7 @@ from macid.learning.curves import (
     write_checkpoint,
     write_curve,
 )
+from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES, write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
@@ -342,6 +345,36 @@ def train_with_bar(config, out, resume=False, tensorboard=False):
         finally:
             if bar.n:  # tqdm does not end the line of a bar that was only refreshed
                 print(file=sys.stderr)
+
+
+def train_apart(executor, configs, out, resume=False):
+    """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
+    `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
+    carried, done = Carried(), {}
+    for config in configs:
+        carried += carried_task(config.setting)
+        expert = getattr(config.hyperparameters, "expert", "")
+        carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
+    with tqdm(
+        total=sum(config.steps for config in configs), unit="step", unit_scale=True, desc=configs[0].name, file=sys.stderr
+    ) as bar:
+
+        def show(config, steps, figures, validation=False):
+            done[folder_of(config)] = min(steps, config.steps)
+            bar.n = sum(done.values())
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{folder_of(config)}: {steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text, refresh=True)
+
+        groups = [Group(_train_here, (config,)) for config in configs]
+        return train_groups(executor, groups, out, resume, show, is_done, carried)
+
+
+def _train_here(configs, out, show):
+    """The `train` of a Group (macid.learning.jobs)."""
+    for config in configs:
+        train(config, out, resume=True, show=show)
 
 
 def _train_bc(config, keeper, show):

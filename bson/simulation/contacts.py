@@ -17,9 +17,7 @@ def person_gaps(pose: np.ndarray, people: np.ndarray, config: RobotConfig) -> np
     return geometry.point_box_distance(people, box)[..., 0] - RADIUS
 
 
-def touches_people(
-    pose: np.ndarray, way: np.ndarray, people: np.ndarray, config: RobotConfig
-) -> tuple[np.ndarray, np.ndarray]:
+def touches_people(pose: np.ndarray, way: np.ndarray, people: np.ndarray, config: RobotConfig) -> tuple:
     """Whether the robot touches a person, and moves towards one that it touches at more than APPROACH: both (...).
 
     pose (..., 3) at the end of a physics step, way (..., 2) [m] driven in that step, people (..., K, 2); world frame.

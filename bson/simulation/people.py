@@ -7,7 +7,8 @@ boxes are filled up to the next of a few sizes, with people and boxes out of eve
 
 import copy
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -92,10 +93,11 @@ class People:
 
     def __init__(self, nworld: int, number: int, boxes: int):
         self.heading = np.zeros((nworld, number, 2))
-        self.layouts = [None] * nworld
-        self._routers, self._rngs = [None] * nworld, [None] * nworld
-        self._routes = [[] for _ in range(nworld)]  # for each person, the waypoints after `heading`
-        self._unplanned = [None] * nworld  # people's starts and goals, until their ways are needed
+        self.layouts: list[Any] = [None] * nworld
+        self._routers: list[Any] = [None] * nworld
+        self._rngs: list[Any] = [None] * nworld
+        self._routes: list[list] = [[] for _ in range(nworld)]  # for each person, the waypoints after `heading`
+        self._unplanned: list[Any] = [None] * nworld  # people's starts and goals, until their ways are needed
         rows, box_rows = rows_for(number), _box_rows(boxes)
         away = parking_place(np.arange(max(rows, box_rows)))
         self._rows = np.zeros((rows, sum(_COLUMNS)), np.float32)  # of a decision for which nobody is there
@@ -118,7 +120,7 @@ class People:
         """Whether world `index` has had an episode."""
         return self._rngs[index] is not None
 
-    def plan(self, ids: Sequence[int]) -> None:
+    def plan(self, ids: Iterable[int]) -> None:
         """Finds the ways of the people of the worlds `ids` whose episodes have just begun.
 
         That takes longer than all else in a reset, so it waits until somebody walks or asks; on every map, spawn has
@@ -137,7 +139,16 @@ class People:
         ways = zip(self.heading[index], self._routes[index], strict=True)
         return np.reshape([route[-1] if len(route) else goal for goal, route in ways], (-1, 2))
 
-    def decide(self, ids, pose, rate, robot_pose, robot_rate, lcf, models) -> list[np.ndarray]:
+    def decide(
+        self,
+        ids: np.ndarray,
+        pose: np.ndarray,
+        rate: np.ndarray,
+        robot_pose: np.ndarray,
+        robot_rate: np.ndarray,
+        lcf: np.ndarray,
+        models: np.ndarray,
+    ) -> list[np.ndarray]:
         """What the people of the worlds `ids` want: a list of (3 K,), world-frame velocity [m/s] and yaw rate [rad/s].
 
         pose, rate (n, K, 3): x, y, yaw and their rates; robot_pose, robot_rate (n, 3): the robot's; lcf, models (n, K).

@@ -5,14 +5,15 @@ commands, never on its neighbours in the batch, bit for bit where the engine pro
 """
 
 import contextlib
-import copy
 import functools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import gymnasium
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bson import robot
 from bson.sensors import Sensor
@@ -23,6 +24,7 @@ from bson.simulation.engines.native import NativeEngine
 from bson.simulation.faults import find_faults
 from bson.simulation.people import People
 from bson.simulation.scene import build_model, build_spec, structure
+from bson.simulation.senses import Senses
 from bson.task import Spawn, TaskConfig, spawn
 from macid import forks, geometry
 from macid.documents import shown
@@ -41,12 +43,24 @@ def check_worlds(name: str, number: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least 1, at most {MAX_WORLDS}, not {shown(number)}.")
 
 
+def _finite(name, value, shape):
+    """`value` as an array, or None. Raises ValueError for what are no finite numbers of `shape`."""
+    if value is None:
+        return None
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite numbers of shape {shape}, not {shown(value)}.")
+    return array
+
+
 class World:
     """`nworld` worlds. What is known of them is in bson.simulation.data.QUANTITIES: each is an attribute, an array with
     a leading axis (nworld,); after `step(ids, ...)` the rows `ids`, in ascending order, are current.
 
-    engine: what moves them (bson.simulation.engines); readings: {a sensor's key: what it last read, (nworld, ...)};
-    layouts: each world's map.
+    engine: what moves them (bson.simulation.engines).
     """
 
     seed: np.ndarray
@@ -82,39 +96,34 @@ class World:
         self._away = 0.0 if with_robot else config.map_size + _ABSENT
         self._process = os.getpid()
         self.nworld, self.sensors = nworld, tuple(sensors)
-        if len({sensor.key for sensor in self.sensors}) < len(self.sensors):
-            raise ValueError(f"Two sensors share a key: {', '.join(sensor.key for sensor in self.sensors)}.")
+        self._senses = Senses(sensors, nworld)
         self.structure = structure(config)  #: of its model
         self.model = model = build_spec(config, self.sensors, hidden=True).compile()  # as it moves and is sensed
         self.robot = robot.describe(config.robot)
         self._crowd = People(nworld, config.people, model.nmocap)
         self.configure(config)
         self.engine = engine(model, nworld, nthread)
-        self._noise = [[None] * nworld for _ in self.sensors]  # their Generators; each episode has its own
         k = config.people
         self._people = slice(0, 3 * k)
         self._robot_qpos, self._robot_qvel = slice(3 * k, 3 * k + 7), slice(3 * k, 3 * k + 6)
         self._robot_ctrl = robot.wheel_actuators(model, self.robot)
         self._last_qpos = self.engine.qpos.copy()  # as last sensed
-        self._occupancy = [None] * nworld
+        self._occupancy: list[Any] = [None] * nworld
         for quantity in QUANTITIES:
             if quantity.held:
                 setattr(self, quantity.name, quantity.empty(nworld, K=k, B=model.nmocap))
-        self.readings = {
-            sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self.sensors
-        }
-        self._journal = None  # what a failed step puts back, while there is a step
+        self._journal: dict | None = None  # what a failed step puts back, while there is a step
         try:
-            self._readers = [sensor.bind(self) for sensor in self.sensors]
+            self._senses.bind(self)
         except BaseException:
             self.close()
             raise
 
     def configure(self, config: TaskConfig) -> None:
         """Goes on in the setting `config`, which must have this world's structure; each world needs a reset then."""
-        every = [sensor.every(config.control_period) for sensor in self.sensors]  # control steps
+        self._senses.configure(config.control_period)
         self._crowd.configure(config)
-        self.config, self._every = config, every
+        self.config = config
 
     def __deepcopy__(self, memo):
         """Worlds of their own that go on from where these are, equally."""
@@ -128,21 +137,19 @@ class World:
         made.engine.restore(self.engine.save())
         made._crowd.restore(self._crowd.save())
         made._crowd.own_generators(memo)
-        made._noise, made._occupancy = copy.deepcopy(self._noise, memo), list(self._occupancy)
-        for key, values in self.readings.items():
-            made.readings[key][:] = values
+        made._senses.follow(self._senses, memo)
+        made._occupancy = list(self._occupancy)
         return made
 
     def close(self) -> None:
         """Frees the physics and what draws for cameras; closing twice does no harm. Nothing can be stepped then."""
-        if self.engine is not None:
+        if "engine" in vars(self):
             self.engine.close()
-        for name in ("_readers", "readings", "_crowd", "_occupancy"):
+        for name in ("engine", "_senses", "_crowd", "_occupancy"):
             vars(self).pop(name, None)
-        self.engine = None
 
     def _check_open(self):
-        if self.engine is None:
+        if "engine" not in vars(self):
             raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
 
     @functools.cached_property
@@ -158,17 +165,17 @@ class World:
             yield
             return
         before = {name: array.copy() for name, array in vars(self).items() if isinstance(array, np.ndarray)}
-        state, crowd = self.engine.save(), self._crowd.save()
-        occupancy, noise = list(self._occupancy), [list(generators) for generators in self._noise]
+        parts: list[tuple[Any, Any]] = [(part, part.save()) for part in (self.engine, self._crowd, self._senses)]
+        occupancy = list(self._occupancy)
         self._journal = {}
         try:
             yield
         except BaseException:
             for name, array in before.items():
                 getattr(self, name)[...] = array
-            self.engine.restore(state)
-            self._crowd.restore(crowd)
-            self._occupancy, self._noise = occupancy, noise
+            for part, saved in parts:
+                part.restore(saved)
+            self._occupancy = occupancy
             for generator, drawn in self._journal.values():
                 generator.bit_generator.state = drawn
             raise
@@ -180,9 +187,14 @@ class World:
         if self._journal is not None and id(generator) not in self._journal:
             self._journal[id(generator)] = generator, generator.bit_generator.state
 
-    def begun(self, ids: Sequence[int]) -> bool:
+    def begun(self, ids: Iterable[int]) -> bool:
         """Whether all of the worlds `ids` have had a reset."""
         return all(self._crowd.begun(index) for index in ids)
+
+    @property
+    def readings(self) -> dict[str, np.ndarray]:
+        """{a sensor's key: what it last read, (nworld, ...)}."""
+        return self._senses.readings
 
     @property
     def layouts(self) -> list:
@@ -221,7 +233,7 @@ class World:
             self._occupancy[index] = occupancy_grid(self.layouts[index], MAP_RESOLUTION, radius=0.0)
         return self._occupancy[index]
 
-    def reset(self, ids: Sequence[int], seeds: Sequence[int]) -> None:
+    def reset(self, ids: ArrayLike, seeds: Sequence[int]) -> None:
         """Begins a new episode in the worlds `ids`, each drawn from its seed. Raises NoFreeSpace before any change."""
         self._check_open()
         forks.refuse(self._process)
@@ -245,8 +257,7 @@ class World:
             engine.qpos[index, self._robot_qpos] = self._standing(s.robot)
             self.goal[index], self.lcf[index], self.models[index] = s.goal, s.lcf, s.models
             self.start_distance[index] = np.hypot(*(s.goal - s.robot[:2]))
-            for sensor, generators in zip(self.sensors, self._noise, strict=True):
-                generators[index] = sensor.generator(int(seed)) if sensor.noise else None
+            self._senses.begin(index, int(seed))
         for counter in ("travelled", "time", "steps", "collisions", *contacts.COUNTERS):
             getattr(self, counter)[ids] = 0
         self.fault[ids] = ""
@@ -254,18 +265,19 @@ class World:
 
     def _standing(self, pose):
         """The robot's part of qpos (..., 7) where it stands at `pose` (..., 3), or off the map if it takes no part."""
-        qpos = robot.spawn_qpos(*np.moveaxis(np.asarray(pose, dtype=float), -1, 0), self.config.robot)
+        x, y, yaw = np.moveaxis(np.asarray(pose, dtype=float), -1, 0)
+        qpos = robot.spawn_qpos(x, y, yaw, self.robot.config)
         qpos[..., 0] += self._away
         return qpos
 
     def place(
         self,
-        ids: Sequence[int],
+        ids: ArrayLike,
         *,
-        pose: np.ndarray | None = None,
-        people: np.ndarray | None = None,
-        velocity: np.ndarray | None = None,
-        people_velocity: np.ndarray | None = None,
+        pose: ArrayLike | None = None,
+        people: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        people_velocity: ArrayLike | None = None,
     ) -> None:
         """Puts the robots and people of the worlds `ids`, whose episodes go on from there.
 
@@ -279,19 +291,17 @@ class World:
         if not self.begun(ids):
             raise gymnasium.error.ResetNeeded("Call reset before place.")
         n, k, engine = len(ids), self.config.people, self.engine
-        given = {"pose": (pose, (n, 3)), "people": (people, (n, k, 3)), "velocity": (velocity, (n, 2))}
-        given["people_velocity"] = people_velocity, (n, k, 2)
-        for name, (value, shape) in given.items():
-            if value is not None and (np.shape(value) != shape or not np.isfinite(value).all()):
-                raise ValueError(f"{name} must be finite numbers of shape {shape}, not {shown(value)}.")
+        pose, people = _finite("pose", pose, (n, 3)), _finite("people", people, (n, k, 3))
+        velocity = _finite("velocity", velocity, (n, 2))
+        people_velocity = _finite("people_velocity", people_velocity, (n, k, 2))
         with self.whole():
             if pose is not None:
                 engine.qpos[ids, self._robot_qpos] = self._standing(pose)
             if people is not None:
-                engine.qpos[ids, self._people] = np.reshape(people, (n, 3 * k))
+                engine.qpos[ids, self._people] = people.reshape(n, 3 * k)
             engine.qvel[ids] = 0.0
             if velocity is not None:
-                speed, yaw_rate = np.asarray(velocity, dtype=float).T
+                speed, yaw_rate = velocity.T
                 yaw = robot.planar_pose(engine.qpos[ids, self._robot_qpos])[:, 2]
                 moving = np.zeros((n, 6))
                 moving[:, 0], moving[:, 1], moving[:, 5] = speed * np.cos(yaw), speed * np.sin(yaw), yaw_rate
@@ -303,7 +313,7 @@ class World:
                 engine.qvel[ids, self._people] = rates.reshape(n, 3 * k)
             self._sense(ids)
 
-    def step(self, ids: Sequence[int], command: np.ndarray) -> None:
+    def step(self, ids: ArrayLike, command: ArrayLike) -> None:
         """One control step of the worlds `ids`: `command` (n, 2), v [m/s] and w [rad/s], held for its period."""
         self._check_open()
         forks.refuse(self._process)
@@ -357,7 +367,7 @@ class World:
 
     def _account(self, ids, before, qpos):
         """Adds the physics steps `qpos` (n, s, nq), after the pose `before` (n, 3), to way and collisions."""
-        config = self.config.robot
+        config = self.robot.config
         poses = robot.planar_pose(qpos[..., self._robot_qpos])
         way = np.diff(np.concatenate([before[:, None], poses], axis=1)[..., :2], axis=1)
         self.travelled[ids] += np.hypot(way[..., 0], way[..., 1]).sum(axis=-1)
@@ -387,22 +397,6 @@ class World:
         offset = self.goal[ids] - self.pose[ids, :2]
         self.distance[ids] = np.hypot(offset[:, 0], offset[:, 1])
         self.arrived[ids] = self.distance[ids] <= GOAL_RADIUS
-        gaps = contacts.person_gaps(self.pose[ids], self._places(qpos), self.config.robot)
+        gaps = contacts.person_gaps(self.pose[ids], self._places(qpos), self.robot.config)
         self.nearest_person[ids] = gaps.min(axis=-1, initial=_FAR)
-        taken = []
-        for sensor, every, read, noise in zip(self.sensors, self._every, self._readers, self._noise, strict=True):
-            due = ids[self.steps[ids] % every == 0]
-            if not len(due):
-                continue
-            readings = read(self, due)
-            finite = np.isfinite(readings).reshape(len(due), -1).all(axis=-1)
-            for index in due[~finite]:
-                self._fail(index, f"the reading '{sensor.key}' is not finite")
-            due, readings = due[finite], readings[finite]
-            if sensor.noise:
-                for row, index in enumerate(due):
-                    self._draws(noise[index])
-                    readings[row] = sensor.noisy(readings[row], noise[index])
-            taken.append((sensor.key, due, readings))
-        for key, due, readings in taken:  # once nothing can fail any more
-            self.readings[key][due] = readings
+        self._senses.read(self, ids, self._fail, self._draws)

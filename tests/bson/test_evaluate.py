@@ -1,4 +1,5 @@
 import dataclasses
+import html
 import json
 
 import numpy as np
@@ -214,8 +215,8 @@ def test_a_suite_of_cells_is_summarised_and_filmed_cell_by_cell(tmp_path, capsys
     assert content["summary"]["SNS"] == pytest.approx(np.mean(list(scores.values())))
     ends = {min(scores, key=scores.get), max(scores, key=scores.get)} if number else set()
     assert {path.name for path in out.glob("videos/*")} == {f"seed-7000-{name}.webm" for name in ends}
-    page = (out / "report.html").read_text()
-    assert all(f"seed 7000 in &#x27;{name}&#x27;, the" in page for name in ends)
+    page = html.unescape((out / "report.html").read_text())
+    assert all(f"seed 7000 in '{name}', the" in page for name in ends)
 
 
 def test_an_agent_may_bring_sensors_of_its_own_and_people_are_told_of_one_by_one(tmp_path, monkeypatch):

@@ -215,11 +215,10 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
         assert (tensor == restored.policy.state_dict()[name]).all(), name
 
 
-@pytest.mark.parametrize(("algo", "hyperparameters"), [("ppo", SMALL_PPO), ("sac", SMALL_SAC)])
-def test_tensorboard_shows_the_curve_the_validations_and_the_losses(algo, hyperparameters, tmp_path):
+def test_tensorboard_shows_the_curve_the_validations_and_the_losses(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    plain = train(config(algo, hyperparameters), tmp_path / "plain")
-    folder = train(config(algo, hyperparameters), tmp_path / "logged", tensorboard=True)
+    plain = train(config("ppo", SMALL_PPO), tmp_path / "plain")
+    folder = train(config("ppo", SMALL_PPO), tmp_path / "logged", tensorboard=True)
     assert (folder / "policy.npz").read_bytes() == (plain / "policy.npz").read_bytes()
     assert not (plain / "tensorboard").exists()
     events = accumulator.EventAccumulator(str(folder / "tensorboard")).Reload()

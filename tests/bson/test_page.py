@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bson.agents import load_agent
-from bson.compare import Run, compare, format_comparison, make_page
+from bson.compare import compare, format_comparison, make_page
 from bson.evaluate import results, run_episodes
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.leaderboard import BEGIN, END, fill_readme, leaderboard
 from bson.page import image, new_figure, video
 from bson.report import make_report
+from bson.results import Results
 from bson.suites import Cell
 from bson.task import TaskConfig
 from bson.tracks import make_track
@@ -106,7 +107,7 @@ def test_names_are_text_in_a_report(content, episodes, check_page, tmp_path, axe
 
 def test_names_are_text_in_a_comparison(content, check_page):
     other = content | {"versions": {hostile("package"): hostile("newer")}, "command": None}
-    runs = [Run(hostile("source"), content), Run(hostile("elsewhere"), other)]
+    runs = [Results(content, hostile("source")), Results(other, hostile("elsewhere"))]
     compared = compare(runs)
     page = make_page(compared)
     check_page(page)
@@ -132,7 +133,7 @@ def test_captions_are_text(tmp_path):
 def test_names_are_text_in_a_leaderboard(content, tmp_path):
     readme = tmp_path / "README.md"
     readme.write_text(f"{BEGIN}\n{END}\n")
-    told = leaderboard([Run("here", content | {"agent": f"{END}{hostile('agent')}"})])
+    told = leaderboard([Results(content | {"agent": f"{END}{hostile('agent')}"}, "here")])
     for _ in range(2):  # what it wrote is no mark, so that it can be written again
         fill_readme(readme, told)
     assert readme.read_text() == f"{BEGIN}\n{told}\n{END}\n"

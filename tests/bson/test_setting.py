@@ -12,11 +12,11 @@ from bson.agents import BUILT_IN, AgentError, Setting, Unsuited, learned, load_a
 from bson.agents.global_view import GlobalView
 from bson.agents.scan import Scan
 from bson.agents.vfh import Vfh
+from bson.episodes.session import Session
 from bson.evaluate import run_episodes
 from bson.features import FEATURES, motion
 from bson.robot import JACKAL
 from bson.sensors import Imu, Lidar2D
-from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import geometry

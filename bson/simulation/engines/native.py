@@ -8,6 +8,7 @@ import numpy as np
 
 from bson.simulation.renderer import Renderer
 from bson.simulation.scene import joint_at
+from macid.threads import physics_threads
 
 _STATE = {  # what the next step depends on: attributes, and fields of MuJoCo's
     "qpos": "qpos",
@@ -37,7 +38,7 @@ class NativeEngine:
 
     def __init__(self, model: mujoco.MjModel, nworld: int, nthread: int = 0):
         self.model, self.nworld = model, nworld
-        self._batch = mujoco.batch.Batch(model, nworld, nthread)
+        self._batch = mujoco.batch.Batch(model, nworld, nthread or physics_threads())
         self.about = f"{self._batch.nthread} MuJoCo threads"
         for name, field in _STATE.items():
             setattr(self, name, self._batch.bind(field))
@@ -48,7 +49,7 @@ class NativeEngine:
         self._flags = self._batch.expand("opt.disableflags")
         self._flags[:] = self._sensors_off
         self._rays = []  # a site, its body, its directions' components ahead, left and up
-        self._site_places = self._site_frames = None
+        self._site_places = self._site_frames = np.empty(0)  # bound once there are rays
         self._forwards = 0
 
     def reset(self, ids: np.ndarray) -> None:
