@@ -112,6 +112,7 @@ def _evaluate(args):
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
+        engine=args.engine,
         command=_words(args.argv),
         told=lambda results: print(format_summary(results.content), flush=True),
     )
@@ -329,6 +330,12 @@ def _add_task(command):
 
 
 def _add_evaluation(command, out, suite):
+    command.add_argument(
+        "--engine",
+        default="native",
+        choices=("native", "warp"),
+        help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for learned policies",
+    )
     command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
     command.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
     command.number(

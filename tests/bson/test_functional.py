@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 import bson
-from bson import robot
+from bson import benchmark, robot
 from bson.agents import learned
 from bson.episodes.session import Session
 from bson.interfaces.device import DeviceWorlds
@@ -22,6 +22,7 @@ from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Pool
 from bson.task import TaskConfig
 from bson.tracks import make_track
+from macid.files import UsageError
 
 WORLDS, SEED = 3, 3
 CONFIG = {"num_pedestrians": 5, "obstacle_density": 0.5, "map_size": 12.0, "goal_distance": (6.0, 12.0), "horizon": 60}
@@ -314,3 +315,15 @@ def test_a_shipped_policy_scores_alike_on_a_device():
         np.testing.assert_allclose(one.pose[:10], other.pose[:10], atol=1e-2)
         assert measure(one).keys() == measure(other).keys()
         assert measure(one)["SNS"] == pytest.approx(measure(other)["SNS"], abs=3.0)
+
+
+def test_what_the_engine_can_not_score_is_told_in_one_line(tmp_path):
+    for words, arguments in {
+        "learned policies, ": {},
+        "no pairs": {"paired": True},
+        "--track": {"track": "global"},
+    }.items():
+        agent = "ppo" if arguments else "vfh"
+        with pytest.raises(UsageError, match=words):
+            benchmark.evaluate(agent, "smoke", out=tmp_path / "out", episodes=1, engine="warp", **arguments)
+    assert not (tmp_path / "out").exists()
