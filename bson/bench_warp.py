@@ -2,6 +2,7 @@
 other."""
 
 import dataclasses
+import gc
 import json
 import subprocess
 import sys
@@ -156,19 +157,20 @@ def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, 
 
 def _apart(case, train=False):
     """`measure`, or `measure_training`, in a process of its own."""
-    command = [sys.executable, "-m", "bson.bench_warp", json.dumps({**case, "train": train})]
+    command = [sys.executable, "-m", "bson.bench_warp", "{}", json.dumps({**case, "train": train})]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=_LONGEST + case["seconds"], check=False)
     if done.returncode:
         raise RuntimeError(f"The bench of {case} ended with {done.returncode}.")
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _main(case, engine="{}"):
-    """One case of JSON, and WarpConfig's fields for it; prints its row as one line of JSON."""
-    case = json.loads(case)
-    case["engine"] = {**json.loads(engine), **case.get("engine", {})}
-    measured = measure_training if case.pop("train", False) else measure
-    print(json.dumps(measured(**case)), flush=True)
+def _main(engine, *cases):
+    """WarpConfig's fields, and cases, of JSON; prints the row of each as one line of JSON."""
+    for case in map(json.loads, cases):
+        case["engine"] = {**json.loads(engine), **case.get("engine", {})}
+        measured = measure_training if case.pop("train", False) else measure
+        print(json.dumps(measured(**case)), flush=True)
+        gc.collect()
 
 
 if __name__ == "__main__":
