@@ -276,7 +276,8 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". stable-baselines3 takes it as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec` gives
+    bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
     `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 

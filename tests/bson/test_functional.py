@@ -1,6 +1,7 @@
 """The robot's worlds as functions on MJX-Warp, against the native engine."""
 
 import functools
+import sys
 
 import gymnasium
 import numpy as np
@@ -19,6 +20,7 @@ from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.sensors import Imu, Lidar2D
 from bson.simulation.batched import COLLISIONS
+from bson.simulation.engines import warp
 from bson.simulation.pool import Pool
 from bson.task import TaskConfig
 from bson.tracks import make_track
@@ -327,3 +329,17 @@ def test_what_the_engine_can_not_score_is_told_in_one_line(tmp_path):
         with pytest.raises(UsageError, match=words):
             benchmark.evaluate(agent, "smoke", out=tmp_path / "out", episodes=1, engine="warp", **arguments)
     assert not (tmp_path / "out").exists()
+
+
+def test_without_warp_it_is_told_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "warp", None)
+    monkeypatch.setattr(warp, "_warp", warp._warp.__wrapped__)
+    with pytest.raises(UsageError, match=r"pip install 'bson-macid\[warp\]'"):
+        gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="warp")
+
+
+def test_room_that_runs_out_is_told_by_the_number_to_raise():
+    engine = object.__new__(warp.WarpEngine)
+    engine.config, engine.rows = warp.WarpConfig(), 94
+    assert "more than 94 constraint rows: raise WarpConfig.rows (6)" in engine.explain(1)
+    assert "raise WarpConfig.contacts (16 a world)" in engine.explain(8)
