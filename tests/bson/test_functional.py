@@ -343,3 +343,20 @@ def test_room_that_runs_out_is_told_by_the_number_to_raise():
     engine.config, engine.rows = warp.WarpConfig(), 94
     assert "more than 94 constraint rows: raise WarpConfig.rows (6)" in engine.explain(1)
     assert "raise WarpConfig.contacts (16 a world)" in engine.explain(8)
+
+
+@pytest.mark.slow
+def test_contacts_that_find_no_room_are_an_error():
+    env = gymnasium.make_vec(
+        "BSON/LocalLidar2D-v0",
+        num_envs=3,
+        engine="warp",
+        sensor=(),
+        num_pedestrians=0,
+        limits={"contacts": -20.0},
+        workers=0,
+    )  # room for four, of which three robots have twelve wheels
+    env.reset(seed=0)
+    with pytest.raises(RuntimeError, match="raise WarpConfig.contacts"):
+        for _ in range(3):
+            env.step(np.zeros((3, 2)))
