@@ -53,6 +53,7 @@ def evaluate(
     executor: str | Executor = "local",
     ray_address: str | None = None,
     workers: int | None = None,
+    engine: str = "native",
     command: str | None = None,
     told: Callable[[Results], None] | None = None,
     quiet: bool = False,
@@ -64,17 +65,19 @@ def evaluate(
     episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
     track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
     are changed. paired: also plays each episode without the robot. metrics: of one's own, each `module:function` or
-    `file.py:function` (see bson.metrics). videos: how many films. resume: goes on with what
-    was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. command: what
+    `file.py:function` (see bson.metrics). videos: how many films. resume: goes on with what was cut short in `out`.
+    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
+    episodes of a cell at once on a device, for agents that are learned policies. command: what
     `results.json` says that it was made by. told: called with the Results once these are written, before anything is
     filmed. quiet: no progress on stderr.
 
-    Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another
+    Results are the same bit for bit with any executor and any number of workers; those of the engine "warp" agree with
+    them to a tolerance. Raises UsageError or another
     ValueError, of one line, before anything is written where the request can't be met.
     """
     from bson.agents import agent_label, check_settings, load_agent
     from bson.evaluate import results, sound
-    from bson.evaluation.executors import play_cells
+    from bson.evaluation.executors import check_engine, play_cells
     from bson.metrics import own_metrics
     from bson.report import make_report
     from bson.resume import Unfinished, basis, files_digest
@@ -95,6 +98,9 @@ def evaluate(
     for cell in cells:
         _check_spawn(cell.config, seeds)
     follows_from = basis(name, wanted, cells, paired)
+    if engine != "native":
+        check_engine(engine, agent, wanted, executor, paired)
+        follows_from["engine"] = engine
     folder = None if out is None else _evaluation_folder(out)
     runner = make_executor(executor, ray_address, workers)
     with contextlib.ExitStack() as held:
@@ -119,6 +125,7 @@ def evaluate(
                 paired,
                 functools.partial(_bar, name, len(cells) > 1, quiet),
                 unfinished.save if unfinished else lambda cell, episode: None,
+                engine,
             )
         content = results(
             name,
@@ -134,6 +141,7 @@ def evaluate(
             overrides={key: str(value) for key, value in changes.items()},
             frozen_seeds=seed == 0,
             command=command,
+            **({} if engine == "native" else {"engine": engine}),
         )
         found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
         if folder is None:

@@ -624,17 +624,22 @@ def site_pose(robot, site):
     return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
 
 
+def _namespace(array):
+    """NumPy, or JAX for its arrays."""
+    return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
+
+
 def wheel_speeds(command, robot=None):
     """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
     (..., 2): (v [m/s], w [rad/s]), clipped."""
     robot = robot or load_robot("jackal")
-    config = robot.config
+    config, xp = robot.config, _namespace(command)
     limit = np.array([config.max_speed, config.max_yaw_rate])
-    speed, yaw_rate = np.moveaxis(np.clip(command, -limit, limit), -1, 0)
+    speed, yaw_rate = xp.moveaxis(xp.clip(command, -limit, limit), -1, 0)
     difference = yaw_rate * config.effective_track / 2
     left, right = speed - difference, speed + difference
     sides = [left] * len(robot.left) + [right] * len(robot.right)
-    return np.stack(sides, axis=-1) / config.rolling_radius * robot.forwards
+    return xp.stack(sides, axis=-1) / config.rolling_radius * np.array(robot.forwards)
 
 
 def wheel_actuators(model, robot=None, name="robot"):
@@ -651,10 +656,11 @@ def wheel_dofs(model, robot, name="robot"):
 
 def planar_pose(qpos):
     """Pose (..., 3), world frame [m, m, rad], of a free joint's `qpos` (..., 7)."""
-    qpos = np.asarray(qpos)
+    xp = _namespace(qpos)
+    qpos = xp.asarray(qpos)
     w, x, y, z = qpos[..., 3], qpos[..., 4], qpos[..., 5], qpos[..., 6]
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-    return np.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
+    yaw = xp.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    return xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
 
 
 def planar_velocity(qpos, qvel):
@@ -662,10 +668,11 @@ def planar_velocity(qpos, qvel):
 
     MuJoCo gives a free joint's linear velocity in the world frame and its angular velocity in the body frame.
     """
-    qvel = np.asarray(qvel)
+    xp = _namespace(qvel)
+    qvel = xp.asarray(qvel)
     yaw = planar_pose(qpos)[..., 2]
-    ahead = np.cos(yaw) * qvel[..., 0] + np.sin(yaw) * qvel[..., 1]
-    return np.stack([ahead, qvel[..., 5]], axis=-1)
+    ahead = xp.cos(yaw) * qvel[..., 0] + xp.sin(yaw) * qvel[..., 1]
+    return xp.stack([ahead, qvel[..., 5]], axis=-1)
 
 
 def spawn_qpos(x, y, yaw, config=None):
@@ -679,6 +686,7 @@ def spawn_qpos(x, y, yaw, config=None):
 def footprint(pose, config=None):
     """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
     config = config or load_robot("jackal").config
-    pose = np.asarray(pose)
-    half_x, half_y = np.full(pose.shape[:-1], config.half_length), np.full(pose.shape[:-1], config.half_width)
-    return np.stack([pose[..., 0], pose[..., 1], half_x, half_y, pose[..., 2]], axis=-1)
+    xp = _namespace(pose)
+    pose = xp.asarray(pose)
+    half_x, half_y = xp.full(pose.shape[:-1], config.half_length), xp.full(pose.shape[:-1], config.half_width)
+    return xp.stack([pose[..., 0], pose[..., 1], half_x, half_y, pose[..., 2]], axis=-1)

@@ -38,7 +38,8 @@ class Learned:
     track, sensor = "local", "lidar2d"
 
     def __init__(self, layers, output, top=TOP):
-        self._layers, self._output, self.top = layers, _OUTPUTS[output], top
+        self.layers, self.output, self.top = layers, output, top
+        self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
 
     def reset(self, seed):
@@ -55,9 +56,9 @@ class Learned:
     def act(self, x):
         """Actions (N, 2) for features (N, FEATURES)."""
         with np.errstate(over="ignore", invalid="ignore"):  # whoever acts by it refuses what is not finite
-            for weight, bias in self._layers[:-1]:
+            for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight + bias, 0.0)
-            weight, bias = self._layers[-1]
+            weight, bias = self.layers[-1]
             return self._output(x @ weight + bias)
 
 

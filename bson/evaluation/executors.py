@@ -17,6 +17,7 @@ from bson.suites import Cell
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.executors import Carried, Executor, carry_files, carry_module
+from macid.files import UsageError
 from macid.maps import map_files
 from macid.registry import own_module
 
@@ -36,6 +37,7 @@ class Play:
     seeds: tuple[int, ...]
     called: str = "agent"
     untrained: bool = False  # whether it may drive in another setting than it was trained in
+    engine: str = "native"  # of the worlds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +51,13 @@ class Pair:
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
     """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
     agent's factory, where it is loaded already."""
+    if job.engine == "warp":
+        from bson.interfaces.play import LearnedOnDevice
+        from bson.interfaces.play import play as play_on_device
+
+        for episode in play_on_device(LearnedOnDevice(job.agent), job.config, job.seeds):
+            send((len(episode.pose) - 1, episode))
+        return
     make_agent = make_agent or load_agent(job.agent, job.untrained)
     run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
 
@@ -70,6 +79,19 @@ def _told_by(send):
             steps, last = 0, time.monotonic()
 
     return progress
+
+
+def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any, paired: bool) -> None:
+    """Raises UsageError where `engine` is none, or plays nothing of what was asked."""
+    if engine != "warp":
+        raise UsageError(f"Unknown engine {engine!r}. Choose 'native' or 'warp'.")
+    if not (isinstance(agent, str) and (agent in learned.names() or agent.endswith(".npz"))):
+        known = ", ".join(learned.names())
+        raise UsageError(f"The engine 'warp' plays learned policies, {known} or a .npz file, not {agent}.")
+    if track != (learned.Learned.track, learned.Learned.sensor):
+        raise UsageError("The engine 'warp' plays the local track with lidar2d: leave --track and --sensor out.")
+    if executor != "local" or paired:
+        raise UsageError("The engine 'warp' plays in this process, and no pairs: leave --executor and --paired out.")
 
 
 def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:
@@ -163,18 +185,19 @@ def play_cells(
     paired: bool,
     watch: Callable[[str | None, bool, int, int], Any],
     keep: Callable[[Cell, Episode], None],
+    engine: str = "native",
 ) -> list[list[Episode]]:
     """The Episodes `seeds` of each of `cells`.
 
     make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep:
     called with each that ends. watch: gives a context of a function progress(control steps, whether an episode ended),
     of the cell's name (None: of all cells) and whether it is without the robot, how many episodes there are, and how
-    many are done. paired: also plays without the robot.
+    many are done. paired: also plays without the robot. engine: of the worlds, see bson.benchmark.evaluate.
     """
     whole = executor.workers is not None  # all cells at once, elsewhere
 
     def play_of(cell):
-        return Play(agent, cell.config, track, tuple(seeds), called, untrained)
+        return Play(agent, cell.config, track, tuple(seeds), called, untrained, engine)
 
     playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()

@@ -107,22 +107,24 @@ def gaussian_log_density(z, log_std):
     return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
 
 
-def log_probability(policy, x, action):
-    """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS)."""
+def log_probability(policy, x, action, network=mlp):
+    """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS).
+
+    network: what makes an output of its layers and x, here as in what follows."""
     log_std = policy["log_std"]
-    return gaussian_log_density((action - mlp(policy["layers"], x)) * jnp.exp(-log_std), log_std)
+    return gaussian_log_density((action - network(policy["layers"], x)) * jnp.exp(-log_std), log_std)
 
 
-def clipped_objective(policy, x, action, old_log_probability, advantage, clip):
+def clipped_objective(policy, x, action, old_log_probability, advantage, clip, network=mlp):
     """Eq. 3, negated: the mean of min(rho A, clip(rho) A)."""
-    ratio = jnp.exp(log_probability(policy, x, action) - old_log_probability)
+    ratio = jnp.exp(log_probability(policy, x, action, network) - old_log_probability)
     clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
     return jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
 
-def value_loss(layers, x, target):
+def value_loss(layers, x, target, network=mlp):
     """Eq. 4: mean squared error of the value (...) against the return."""
-    return jnp.mean((mlp(layers, x)[..., 0] - target) ** 2)
+    return jnp.mean((network(layers, x)[..., 0] - target) ** 2)
 
 
 def coordinated_advantage(individual, neighborhood, lcf, coordination, standardize=True):
@@ -142,21 +144,21 @@ def make_optimizer(config, updates, networks):
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 
-def loss(parameters, batch, config):
+def loss(parameters, batch, config, network=mlp):
     """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
     objective = clipped_objective(
-        policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip
+        policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip, network
     )
     values = sum(
-        value_loss(layers, batch["critic"], batch[f"return_{name}"])
+        value_loss(layers, batch["critic"], batch[f"return_{name}"], network)
         for name, layers in parameters.items()
         if name != "policy"
     )
     return values - objective - config.entropy * entropy
 
 
-def update(parameters, optimizer, optimizer_state, data, key, config):
+def update(parameters, optimizer, optimizer_state, data, key, config, network=mlp):
     """`epochs` passes over `data` (a dict of arrays with a leading axis (N,)) in shuffled minibatches."""
     count = data["advantage"].shape[0]
     batches = max(1, count // config.batch)
@@ -167,7 +169,7 @@ def update(parameters, optimizer, optimizer_state, data, key, config):
 
         def step(carry, index):
             parameters, state = carry
-            gradient = jax.grad(loss)(parameters, jax.tree.map(lambda x: x[index], data), config)
+            gradient = jax.grad(loss)(parameters, jax.tree.map(lambda x: x[index], data), config, network)
             change, state = optimizer.update(gradient, state, parameters)
             return (optax.apply_updates(parameters, change), state), None
 
