@@ -23,7 +23,7 @@ import numpy as np
 from bson import robot
 from bson.renderer import Renderer
 from bson.task import TaskConfig, controller, spawn, stops, ways_checker
-from macid import forks, geometry, layout, physics, scene
+from macid import contacts, forks, geometry, layout, scene
 from macid.documents import shown
 from macid.maps import load_map
 from macid.routing import occupancy_grid
@@ -136,7 +136,7 @@ def _decision(controllers, rows, boxes):
 
     def decide(packed, boxes):
         position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
-        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], physics.touching(position, boxes))
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], contacts.touching(position, boxes))
         commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
         command = commands[0]
         for number, other in enumerate(commands[1:], start=1):

@@ -1,9 +1,10 @@
 """The `macid` command."""
 
+import argparse
 import pathlib
 import sys
 
-from macid import start
+from macid import engines, start
 from macid.command import (
     MOST_SEED,
     MOST_SEEDS,
@@ -27,6 +28,33 @@ from macid.files import (
 )
 
 
+_ENGINE = "native (CPU), mjx, or warp (GPU), with options or without: warp:contacts=4 (default: the best there is, which is told)"
+_PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
+_ROLLOUT = {"kind": int, "least": 1, "most": 1_000_000}
+
+
+def _engine(text):
+    """The name of an engine, for argparse."""
+    try:
+        return engines.engine_name(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _chosen(args):
+    """(the engine to use, what to tell of it on stderr); --engine, else the best there is."""
+    if args.engine:
+        engines.engine_kind(args.engine)
+        return args.engine, None
+    engine, why = engines.best_engine()
+    return engine, f"engine {engine}: {why}"
+
+
+def _tell(note):
+    if note:
+        print(note, file=sys.stderr, flush=True)
+
+
 def _level(text):
     return int(text) if text.isdecimal() else text
 
@@ -47,11 +75,13 @@ def _evaluate(args):
         ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
     configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
     out = check_file(args.out, "JSON file")
+    engine, note = _chosen(args)
+    _tell(note)
     rows = []
     for level in args.levels:
         print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
         rows += [
-            evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, args.engine) for config in configs
+            evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, engine) for config in configs
         ]
     with new_folder(out.parent):
         write_json(out, rows)
@@ -107,10 +137,15 @@ def _watch(args):
 
 
 def _train(args):
+    from dataclasses import replace
+
     from macid.learning.train import preset, train
 
+    engine, note = _chosen(args)
     given = {
         "nworld": args.worlds,
+        "rollout": args.rollout,
+        "episode": args.episode,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
     }
     config = preset(
@@ -118,12 +153,23 @@ def _train(args):
         method=args.method,
         level=args.level,
         seed=args.seed,
-        engine=args.engine,
+        engine=engine,
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
+    learning = {"batch": args.batch, "epochs": args.epochs, "learning_rate": args.learning_rate}
+    learning = {name: value for name, value in learning.items() if value is not None}
+    if learning:
+        config = replace(config, ppo=replace(config.ppo, **learning))
     out = check_folder(args.out)
-    train(config, out, args.seeds, resume=args.resume, show=lambda line: print(line, flush=True))
+    notes = [note]
+
+    def show(line):
+        while notes:  # where training begins: what is refused before is one line
+            _tell(notes.pop())
+        print(line, flush=True)
+
+    train(config, out, args.seeds, resume=args.resume, show=show)
     for seed in range(args.seed, args.seed + args.seeds):
         folder = out / f"{config.name}-{seed}"
         print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
@@ -138,8 +184,18 @@ def _bench(args):
         load_level(level)
     if args.out:
         check_file(args.out, "JSON file")
+    engine, note = _chosen(args)
+    _tell(note)
     rows = bench.run(
-        args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
+        engine,
+        args.levels,
+        args.worlds,
+        args.seconds,
+        args.preset,
+        lambda line: print(line, flush=True),
+        rollout=args.rollout,
+        only=args.only,
+        profile=args.profile,
     )
     if args.out:
         with new_folder(pathlib.Path(args.out).parent):
@@ -172,7 +228,7 @@ def parser():
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
-    evaluate.add_argument("--engine", default="native", choices=["native", "mjx"])
+    evaluate.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     evaluate.add_argument("--out", type=name, default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
 
@@ -196,26 +252,34 @@ def parser():
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
-    train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
+    train.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
     train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, at once")
-    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset paper: 1)")
+    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset gpu: 1024; paper: 1)")
+    train.number("--rollout", **_ROLLOUT, help="decisions between updates (default: 125; gpu: 25; paper: 1000)")
+    train.number("--episode", int, 1, 1_000_000, help="rollouts that an episode lasts (default: 8; gpu: 40; paper: 1)")
+    train.number("--batch", int, 1, 1_000_000_000, help="agent-steps of a gradient step (default: the preset's)")
+    train.number("--epochs", int, 1, 1000, help="passes of an update over its agent-steps (default: the preset's)")
+    train.number("--learning-rate", float, 0.0, 1.0, above=True, help="at the beginning (default: 0.001)")
     train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     train.number(
-        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset paper: the paper's 50e6)"
+        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset gpu: 300e6; paper: the paper's 50e6)"
     )
-    train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
+    train.add_argument("--preset", default="fast", choices=_PRESETS, help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)
-    bench.add_argument("--engine", default="native", choices=["native", "mjx"])
+    bench.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     bench.add_argument("--levels", type=_level, nargs="+", default=[1, 2, 3, 4])
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", default=[1, 4, 16, 64])
     bench.number("--seconds", float, 0.0, 1e6, above=True, default=3.0, help="a case")
-    bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"])
+    bench.number("--rollout", **_ROLLOUT, default=50, help="decisions between updates")
+    bench.add_argument("--only", default=None, choices=["rollout", "training"], help="one of the two alone")
+    bench.add_argument("--profile", action="store_true", help="also what the parts of an iteration take")
+    bench.add_argument("--preset", default="fast", choices=_PRESETS)
     bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
     return root
