@@ -25,6 +25,7 @@ from mujoco.mjx.third_party import mujoco_warp
 from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 
 from macid.engines.base import CrowdEngine, EngineOverflow, FlatState
+from macid.state import parking_place
 
 wp.config.log_level = wp.LOG_ERROR  # at its first use it would tell of itself, and of each kernel that it compiles
 _ROWS = 4  # of a contact's constraints: condim 3 in a pyramid
@@ -44,12 +45,14 @@ class WarpOptions:
     iterations: int = 0  # of the solver, at most; 0: ITERATIONS of the solver
     line_search: int = 16  # iterations of its line search, at most
     until_done: bool = True  # the solver stops when all worlds are done (a loop in the CUDA graph), not after `iterations`
-    graph: bool = True  # a step is one CUDA graph; without it each kernel is launched by itself, some hundred a step
+    graph: str = "engine"  # a step's CUDA graph is captured with the engine; or where XLA first comes by ("call"); or "none"
 
     def __post_init__(self):
         for name, least in (("contacts", 1), ("iterations", 0), ("line_search", 1)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, not {getattr(self, name)}.")
+        if self.graph not in ("engine", "call", "none"):
+            raise ValueError(f"graph must be engine, call or none, not '{self.graph}'.")
         if self.solver not in ("auto", *_SOLVERS):
             raise ValueError(f"solver must be one of auto, {', '.join(_SOLVERS)}, not '{self.solver}'.")
 
@@ -78,6 +81,7 @@ class WarpEngine(CrowdEngine):
         self._model.opt.graph_conditional = options.until_done
         self._model.opt.warn_overflow = 0  # `check` tells
         self._mujoco, self._batches = own, {}
+        self._call = _captured_call if options.graph == "call" and self._device.is_cuda else _call
         self._step = jax.custom_batching.custom_vmap(self._step_worlds)
         self._step.def_vmap(self._step_stacked)
         self._batch(nworld)
@@ -100,7 +104,7 @@ class WarpEngine(CrowdEngine):
         return self._batches[nworld]
 
     def _step_worlds(self, qpos, qvel, warmstart, ctrl):
-        return tuple(_call(self._batch(len(qpos)).handle, qpos, qvel, warmstart, ctrl, output_dims=qpos.shape))
+        return tuple(self._call(self._batch(len(qpos)).handle, qpos, qvel, warmstart, ctrl, output_dims=qpos.shape))
 
     def _step_stacked(self, size, batched, *fields):
         """The same under vmap: the stacks' worlds are worlds of one batch."""
@@ -122,11 +126,13 @@ class _Batch:
                 naconmax=options.contacts * number * nworld,
                 njmax=_ROWS * options.contacts * number,
             )
-            self._graph = self._capture() if options.graph and device.is_cuda else None
+            self._graph = self._capture() if options.graph == "engine" else None
         self.handle = next(_handles)
         _batches[self.handle] = self
 
     def _capture(self):
+        places = np.pad(parking_place(np.arange(self._number)), ((0, 0), (0, 1))).ravel()
+        self.data.qpos.assign(np.tile(places, (self.data.nworld, 1)).astype(np.float32))
         mujoco_warp.step(self._model, self.data)  # loads the kernels
         wp.synchronize_device()
         with _no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
@@ -189,4 +195,7 @@ def _step_batch(
     _batches[handle].step((qpos, qvel, warmstart, ctrl), (next_qpos, next_qvel, next_warmstart))
 
 
-_call = wp.jax_callable(_step_batch, num_outputs=3, graph_mode=wp.JaxCallableGraphMode.NONE, vmap_method=None)
+_call, _captured_call = (
+    wp.jax_callable(_step_batch, num_outputs=3, graph_mode=mode, vmap_method=None)
+    for mode in (wp.JaxCallableGraphMode.NONE, wp.JaxCallableGraphMode.WARP)
+)
