@@ -20,6 +20,7 @@ import numpy as np
 from macid import command
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words
 from macid.crowd import CrowdConfig
+from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
@@ -97,17 +98,24 @@ def find_policies(configs, *folders):
     return found
 
 
-def train_missing(configs, found, folder):
-    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds."""
-    todo = [
-        replace(config, seed=seed)
-        for config, seeds in configs.items()
-        for seed in range(seeds)
-        if seed not in found.get(config.name, {})
-    ]
-    for number, config in enumerate(todo, start=1):
-        print(f"training {number} of {len(todo)}: {config.name}, seed {config.seed}", file=sys.stderr, flush=True)
-        train(config, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
+def train_missing(configs, found, folder, engine="native"):
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds; seeds that
+    follow on each other at once, with an engine that is faster so."""
+    kind, _ = engine_kind(engine)
+    todo = []  # (config, how many seeds from its own on)
+    for config, seeds in configs.items():
+        for seed in range(seeds):
+            if seed in found.get(config.name, {}):
+                continue
+            before, count = todo[-1] if todo else (None, 0)
+            if kind.stacks and before and before.name == config.name and before.seed + count == seed:
+                todo[-1] = before, count + 1
+            else:
+                todo.append((replace(config, seed=seed, engine=engine), 1))
+    for number, (config, count) in enumerate(todo, start=1):
+        seeds = f"seed {config.seed}" if count == 1 else f"seeds {config.seed} to {config.seed + count - 1}"
+        print(f"training {number} of {len(todo)}: {config.name}, {seeds}", file=sys.stderr, flush=True)
+        train(config, folder, count, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
 
 
 def evaluated(rows, file, level, lcf, episodes):
@@ -251,7 +259,7 @@ def run(args):
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if not args.no_train:
-        train_missing(configs, find_policies(configs, args.policies, runs), runs)
+        train_missing(configs, find_policies(configs, args.policies, runs), runs, args.engine)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
         for name, by_seed in find_policies(configs, args.policies, runs).items()
@@ -365,6 +373,7 @@ def main():
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
+    parser.add_argument("--engine", type=command.name, default="native", help="of trainings: native, mjx or warp, see macid.engines")
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")

@@ -22,6 +22,7 @@ class Engine(Protocol):
     nworld: int
     boxes: Any  #: (B, 5), of all worlds
     shards: bool  #: whether its worlds can lie on several devices of JAX's
+    stacks: bool  #: whether several batches under vmap, as of several seeds, are stepped at once, not one after the other
 
     def init(self, position, yaw) -> Any:
         """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]. Jittable."""
@@ -70,7 +71,7 @@ class FlatState(NamedTuple):
 class CrowdEngine:
     """What engines share: the model, sizes, and reading."""
 
-    shards = False
+    shards = stacks = False
     options = NoOptions  # the dataclass of what may follow the engine's name
 
     def __init__(self, model, number, boxes, nworld):

@@ -10,7 +10,7 @@ from macid.engines.base import CrowdEngine, NoOptions
 class MjxEngine(CrowdEngine):
     """Its state is one `mjx.Data` with a leading axis of worlds."""
 
-    shards = True
+    shards = stacks = True
 
     def __init__(self, model, number, boxes, nworld, options=NoOptions()):
         super().__init__(model, number, boxes, nworld)

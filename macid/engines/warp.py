@@ -4,9 +4,10 @@
 buffer of XLA's that is made anew, of some hundred bytes a person and more. Here Warp keeps them; what passes between the
 two at a step is the state and the command.
 
-On a GPU the kernels of a step are captured once, as a CUDA graph, when an engine is made, and not when XLA first comes by:
-within XLA's callback Python may collect garbage, and what JAX frees there is forbidden while a graph is captured, so that
-the process hung. Equal seeds agree to a tolerance there, not bit for bit: contacts are counted in any order.
+The kernels of a step are captured once, as a graph, when an engine is made, and not when XLA first comes by: within XLA's
+callback Python may collect garbage, and what JAX frees there is forbidden while a CUDA graph is captured, so that the process
+hung. A graph is 30 times as fast as its kernels one by one, on a CPU. On a GPU equal seeds agree to a tolerance, not bit for
+bit: contacts are counted in any order.
 """
 
 import contextlib
@@ -45,7 +46,7 @@ class WarpOptions:
     iterations: int = 0  # of the solver, at most; 0: ITERATIONS of the solver
     line_search: int = 16  # iterations of its line search, at most
     until_done: bool = True  # the solver stops when all worlds are done (a loop in the CUDA graph), not after `iterations`
-    graph: str = "engine"  # a step's CUDA graph is captured with the engine; or where XLA first comes by ("call"); or "none"
+    graph: str = "engine"  # a step's graph is captured with the engine; on a GPU also where XLA first comes by ("call"); "none"
 
     def __post_init__(self):
         for name, least in (("contacts", 1), ("iterations", 0), ("line_search", 1)):
@@ -65,6 +66,7 @@ class WarpOptions:
 class WarpEngine(CrowdEngine):
     """Worlds on JAX's first device. Under vmap, as of several seeds, all their worlds are stepped at once."""
 
+    stacks = True
     options = WarpOptions
 
     def __init__(self, model, number, boxes, nworld, options=WarpOptions()):
@@ -131,10 +133,12 @@ class _Batch:
         _batches[self.handle] = self
 
     def _capture(self):
+        """The graph of a step."""
         places = np.pad(parking_place(np.arange(self._number)), ((0, 0), (0, 1))).ravel()
         self.data.qpos.assign(np.tile(places, (self.data.nworld, 1)).astype(np.float32))
         mujoco_warp.step(self._model, self.data)  # loads the kernels
         wp.synchronize_device()
+        # Relaxed: nothing that another thread asks of CUDA meanwhile is in the way.
         with _no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
             mujoco_warp.step(self._model, self.data)
         self.data.overflow.zero_()
