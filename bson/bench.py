@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from bson import tracks
+from bson.episodes.session import Session
 from bson.evaluate import versions
-from bson.session import Session
 from bson.task import TaskConfig
 
 PEOPLE = (24, 50, 100, 200)
@@ -21,13 +21,13 @@ _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 
 
 class _Stopwatch:
-    """A MuJoCo batch whose calls are timed."""
+    """An Engine whose calls are timed."""
 
-    def __init__(self, batch):
-        self._batch, self.seconds = batch, 0.0
+    def __init__(self, engine):
+        self._engine, self.seconds = engine, 0.0
 
     def __getattr__(self, name):
-        attribute = getattr(self._batch, name)
+        attribute = getattr(self._engine, name)
         if not callable(attribute):
             return attribute
 
@@ -51,7 +51,7 @@ def measure_speed(config, sensors, nworld, seconds=2.0):
     action = np.tile(_ACTION, (nworld, 1))
     for _ in range(5):  # compile and warm up
         session.step(ids, action)
-    watch = session.world.batch = _Stopwatch(session.world.batch)
+    watch = session.world.engine = _Stopwatch(session.world.engine)
     steps, begin = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - begin) < seconds:
         _, _, terminated, truncated = session.step(ids, action)
@@ -133,7 +133,7 @@ def measure_learning(algo, config, nworld, seconds=20.0):
     if hasattr(hyperparameters, "learning_starts"):
         hyperparameters = dataclasses.replace(hyperparameters, learning_starts=nworld)
     env = FeatureVecEnv(nworld, seed=0, **config)
-    watch = env.world.batch = _Stopwatch(env.world.batch)
+    watch = env.world.engine = _Stopwatch(env.world.engine)
     timer = Timer()
     with one_thread():
         hyperparameters.build(env, seed=0).learn(10**12, callback=timer, log_interval=None)

@@ -1,9 +1,7 @@
 """The `bson` command."""
 
 import ast
-import contextlib
 import dataclasses
-import functools
 import pathlib
 import shlex
 import sys
@@ -12,10 +10,12 @@ from macid import start
 from macid.command import (
     MOST_PEOPLE,
     MOST_SEED,
+    MOST_SEEDS,
     MOST_STEPS,
     MOST_TRAINING_SEED,
     MOST_WORLDS,
     Parser,
+    add_executor,
     check_words,
     name,
 )
@@ -23,23 +23,13 @@ from macid.files import (
     HelpFormatter,
     UsageError,
     check_file,
-    check_folder,
-    lock_folder,
     new_folder,
-    output_folder,
-    remove_leftovers,
     run_command,
     start_mujoco,
-    write_bytes,
     write_json,
 )
 
 _MOST_FILMS = 10_000
-
-
-def _track_names(args, make_agent):
-    """Names of the track and the sensors that an agent wants, unless the command line says otherwise."""
-    return args.track or make_agent.track, args.sensor or make_agent.sensor
 
 
 def _overrides(pairs):
@@ -88,261 +78,139 @@ def _literal(key, text):
     return value
 
 
-def _check_spawn(config, seeds):
-    """Draws the episodes `seeds`, so that a map without room is told before anything runs."""
-    import numpy as np
-
-    from bson.task import spawn
-
-    for seed in seeds:
-        spawn(config, np.random.default_rng(seed))
+_PLACE = ("--resume",)  # flags that change nothing of the results, and those with a value
+_PLACE_WITH = ("--executor", "--ray-address", "--workers")
 
 
-@contextlib.contextmanager
-def _progress(name, total, done=0, keep=None):
-    """A progress bar on stderr, as the `progress` of bson.evaluate. keep(episode) is called with each that ends."""
-    from tqdm import tqdm
-
-    with tqdm(total=total, initial=done, unit="episode", desc=name, file=sys.stderr, smoothing=0) as bar:
-        steps = 0
-
-        def progress(control_steps, episode):
-            nonlocal steps
-            steps += control_steps
-            if episode is not None:
-                if keep:
-                    keep(episode)
-                bar.update()
-            if episode is not None or steps % 160 == 0:
-                bar.set_postfix_str(f"{steps / max(bar.format_dict['elapsed'], 1e-9):,.0f} steps/s", refresh=True)
-
-        yield progress
-
-
-def _play(make_agent, cell, track, seeds, name, unfinished, paired):
-    """The Episodes `seeds` of a cell: those that `unfinished` has, and those that it lacks, which it gets."""
-    from bson.evaluate import pair, run_episodes
-
-    keep = functools.partial(unfinished.save, cell)
-    found = {seed: episode for seed in seeds if (episode := unfinished.load(cell, seed))}
-    missing = [seed for seed in seeds if seed not in found]
-    with _progress(name, len(seeds), len(found), keep) as progress:
-        played = run_episodes(make_agent, cell.config, track, missing, name, progress) if missing else []
-    found |= {episode.seed: episode for episode in played}
-    episodes = [found[seed] for seed in seeds]
-    if not paired:
-        return episodes
-    done = sum(episode.fault != "" or episode.people_alone is not None for episode in episodes)
-    with _progress(f"{name}, without the robot", len(seeds), done, keep) as progress:
-        return pair(cell.config, episodes, progress)
-
-
-def _to_film(played, number):
-    """Which episodes to film, as (the cell's place, the episode, what to tell of it).
-
-    played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
-    the worst of each of the `number` worst cells, and the best of the best.
-    """
-    from bson.metrics import sns, spread_by_score
-
-    if len(played) == 1:
-        chosen = [(0, episode) for episode in spread_by_score(played[0], number)]
-        kinds = {len(chosen) - 1: "the best episode", 0: "the worst episode"}
-    else:
-        ranked = sorted(
-            ((place, sorted(episodes, key=sns)) for place, episodes in enumerate(played) if episodes),
-            key=lambda cell: sum(map(sns, cell[1])) / len(cell[1]),
-        )
-        chosen = [(place, episodes[0]) for place, episodes in ranked[:number]]
-        kinds = dict.fromkeys(range(len(chosen)), "its worst episode") | {0: "the worst cell's worst episode"}
-        best, episodes = ranked[-1]
-        if all(episode is not episodes[-1] for _, episode in chosen):
-            kinds[len(chosen)] = "the best cell's best episode"
-            chosen.append((best, episodes[-1]))
-    return [(*each, kinds.get(rank, "")) for rank, each in enumerate(chosen)]
-
-
-def _films(played, cells, track, folder, number, name):
-    """Films episodes (see _to_film); returns (path, caption) pairs and why there are none.
-
-    played: the episodes of each of `cells`.
-    """
-    from tqdm import tqdm
-
-    from bson import film
-    from bson.metrics import sns
-    from bson.world import build_model
-    from macid import drawing
-
-    if number == 0:
-        return [], "No films were asked for (--videos 0)."
-    if problem := drawing.gl_problem():
-        print(f"No video: {problem}", file=sys.stderr)
-        return [], f"No video: {problem}"
-    output_folder(folder)
-    model = functools.cache(lambda config: build_model(config, track.sensors))
-    made = []
-    for place, episode, kind in tqdm(_to_film(played, number), unit="film", desc="filming", file=sys.stderr):
-        cell, several = cells[place], len(cells) > 1
-        path = folder / f"seed-{episode.seed}{'-' + cell.slug if several else ''}.webm"
-        film.film(model(cell.config), episode, path, title=f"{name}: {cell.name}" if several else name)
-        where = f" in '{cell.name}'" if several else ""
-        made.append((path, f"seed {episode.seed}{where}{kind and f', {kind}'}: SNS {sns(episode):.1f}"))
-    return made, ""
+def _words(argv):
+    """The command line without what changes nothing of the results."""
+    kept, skip = [], False
+    for word in argv:
+        if not skip and word not in _PLACE and word.partition("=")[0] not in _PLACE_WITH:
+            kept.append(word)
+        skip = not skip and word in _PLACE_WITH
+    return "bson " + shlex.join(kept)
 
 
 def _evaluate(args):
-    from bson.agents import load_agent
-    from bson.evaluate import format_summary, results, sound
-    from bson.report import make_report
-    from bson.resume import Unfinished, basis, files_digest
-    from bson.suites import load_suite
-    from bson.tracks import make_track, sensor_label, sensor_settings
+    from bson import benchmark
+    from bson.evaluate import format_summary
 
-    suite = load_suite(args.suite)
-    seeds = suite.drawn(args.episodes, args.seed)
-    changes = _overrides(args.set)
-    cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in suite.cells]
-    make_agent = load_agent(args.agent)
-    track_names = _track_names(args, make_agent)
-    track = make_track(*track_names)
-    for cell in cells:
-        _check_spawn(cell.config, seeds)
-    out = check_folder(args.out)
-    for file in (out / "results.json", out / "report.html", *(out / "videos").glob("seed-*.webm")):
-        check_file(file)
-    check_folder(out / "videos")
-    follows_from = basis(args.agent, track_names, cells, args.paired)
-    with lock_folder(out):
-        unfinished = Unfinished(out, follows_from, args.resume)
-        played = []
-        for cell in cells:
-            name = args.agent if len(cells) == 1 else f"{args.agent}: {cell.name}"
-            played.append(_play(make_agent, cell, track, seeds, name, unfinished, args.paired))
-        content = results(
-            args.agent,
-            suite.name,
-            cells,
-            played,
-            suite_digest=suite.digest if not changes else None,
-            task_digest=files_digest(follows_from),
-            track=[track_names[0], sensor_label(track_names[1])],
-            sensors=sensor_settings(track.sensors),
-            paired=args.paired,
-            overrides={key: str(value) for key, value in changes.items()},
-            frozen_seeds=args.seed == 0,
-            command="bson " + shlex.join(word for word in args.argv if word != "--resume"),
-        )
-        # What an earlier run left here does not belong to these results.
-        remove_leftovers(out / "videos")
-        for stale in (out / "report.html", *(out / "videos").glob("seed-*.webm")):
-            if not stale.is_symlink():
-                stale.unlink(missing_ok=True)
-        write_json(out / "results.json", content)
-        print(format_summary(content), flush=True)
-        played = [sound(episodes) for episodes in played]
-        videos, why_not = _films(played, cells, track, out / "videos", args.videos, args.agent)
-        report = make_report(content, [e for each in played for e in each], videos, why_not)
-        write_bytes(out / "report.html", report.encode())
-        unfinished.discard()
-    print(f"Written: {out / 'results.json'}, {out / 'report.html'}" + "".join(f", {path}" for path, _ in videos))
+    found = benchmark.evaluate(
+        args.agent,
+        args.suite,
+        out=args.out,
+        episodes=args.episodes,
+        seed=args.seed,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        paired=args.paired,
+        videos=args.videos,
+        resume=args.resume,
+        executor=args.executor,
+        ray_address=args.ray_address,
+        workers=args.workers,
+        command=_words(args.argv),
+        told=lambda results: print(format_summary(results.content), flush=True),
+    )
+    print(f"Written: {', '.join(map(str, found.written))}")
     return 0
 
 
 def _compare(args):
-    from bson.compare import compare, format_comparison, load_run, make_page
+    from bson import benchmark
+    from bson.compare import format_comparison
 
-    content = compare([load_run(source) for source in args.results])
-    page, out = make_page(content), check_folder(args.out)
-    for file in ("compare.json", "compare.html"):
-        check_file(out / file)
-    with lock_folder(out):
-        write_json(out / "compare.json", content)
-        write_bytes(out / "compare.html", page.encode())
-    print(format_comparison(content))
+    print(format_comparison(benchmark.compare(args.results, args.out)))
+    out = pathlib.Path(args.out)
     print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
     return 0
 
 
 def _leaderboard(args):
-    from bson.compare import load_run
-    from bson.leaderboard import fill_readme, leaderboard
+    from bson import benchmark
 
-    text = leaderboard([load_run(source) for source in args.results])
-    if args.readme:
-        fill_readme(args.readme, text)
-    print(text)
+    print(benchmark.leaderboard(args.results, args.readme))
     if args.readme:
         print(f"Written: {args.readme}", file=sys.stderr)
     return 0
 
 
 def _render(args):
-    from bson import film
-    from bson.agents import load_agent
-    from bson.evaluate import run_episodes
-    from bson.task import TaskConfig
-    from bson.tracks import make_track
-    from bson.world import build_model
-    from macid import drawing
+    from bson import benchmark
 
-    config = TaskConfig().replace(**_overrides(args.set))
-    make_agent = load_agent(args.agent)
-    track = make_track(*_track_names(args, make_agent))
-    path = pathlib.Path(args.out)
-    if path.suffix not in (".webm", ".png"):
-        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    check_file(path)
-    if problem := drawing.gl_problem():
-        raise UsageError(f"No pictures here: {problem}")
-    _check_spawn(config, [args.seed])
-    with _progress(args.agent, 1) as progress:
-        (episode,) = run_episodes(make_agent, config, track, [args.seed], args.agent, progress)
-    if episode.fault:
-        raise UsageError(f"Physics failed in the episode of seed {args.seed}: {episode.fault}. Choose another --seed.")
-    model = build_model(config, track.sensors)
-    if path.suffix == ".png":
-        step = len(episode.pose) // 2 if args.step is None else args.step
-        if not -len(episode.pose) <= step < len(episode.pose):
-            raise UsageError(f"--step must be below {len(episode.pose)}, the episode's length, not {step}.")
-        with new_folder(path.parent):
-            film.still(model, episode, path, step)
-    else:
-        with new_folder(path.parent):
-            film.film(model, episode, path, title=args.agent)
+    path = benchmark.film(
+        args.agent,
+        args.out,
+        seed=args.seed,
+        step=args.step,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+    )
     print(f"Written: {path}")
     return 0
 
 
-@contextlib.contextmanager
-def _agents_extra():
-    """Tells what to install where the extra `agents` is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise UsageError(f"Training needs {error.name}: pip install 'bson-macid[agents]'.") from None
+def _export(args):
+    from bson.interfaces.export import export
+    from bson.task import TaskConfig
+    from bson.tracks import make_track
+
+    config = _cell(args.suite, args.cell) if args.suite or args.cell else TaskConfig()
+    track = make_track(args.track, args.sensor)
+    start.cleaning_up()
+    export(config.replace(**_overrides(args.set)), track, args.seed, args.out, "bson " + shlex.join(args.argv))
+    print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
+    return 0
+
+
+def _cell(suite, cell):
+    """The TaskConfig of the cell named `cell` of the suite named `suite`. Raises UsageError."""
+    from bson.suites import load_suite
+    from macid.documents import shown
+
+    if suite is None:
+        raise UsageError("--cell is one of a suite: give --suite, too.")
+    cells = {one.name: one.config for one in load_suite(suite).cells}
+    if cell is None and len(cells) == 1:
+        return next(iter(cells.values()))
+    if cell not in cells:
+        problem = "needs a --cell" if cell is None else f"has no cell {shown(cell)}"
+        raise UsageError(f"Suite '{suite}' {problem}. Choose one of {', '.join(map(repr, cells))}.")
+    return cells[cell]
 
 
 def _train(args):
-    with _agents_extra():
-        from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, train_with_bar
+    from bson import benchmark
 
-    if args.algo not in ALGORITHMS:
-        raise UsageError(f"Unknown algorithm '{args.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
-    hyperparameters = PRESETS[args.preset][args.algo]
-    config = TrainConfig(
-        args.algo, args.seed, int(args.steps), _overrides(args.set), args.worlds, hyperparameters=hyperparameters
+    folders = benchmark.train(
+        args.algo,
+        args.out,
+        seed=args.seed,
+        seeds=args.seeds,
+        steps=int(args.steps),
+        worlds=args.worlds,
+        preset=args.preset,
+        overrides=_overrides(args.set),
+        resume=args.resume,
+        tensorboard=args.tensorboard,
+        executor=args.executor,
+        ray_address=args.ray_address,
+        workers=args.workers,
     )
-    start.cleaning_up()
-    folder = train_with_bar(config, args.out, args.resume)
-    print(
-        f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}. Score it: bson evaluate --agent {folder / 'policy.npz'}"
-    )
+    for folder in folders:
+        policy = folder / "policy.npz"
+        print(f"Written: {policy}, {folder / 'policy.json'}. Score it: bson evaluate --agent {policy}")
     return 0
 
 
 def _bench(args):
     from bson import bench
+    from bson.benchmark import agents_extra
     from bson.task import TaskConfig
     from macid.pedestrians import make_controller
 
@@ -364,7 +232,7 @@ def _bench(args):
     elif args.sensors is not None:
         raise UsageError("--train measures learning on the 2D LIDAR: leave --sensors out.")
     else:
-        with _agents_extra():
+        with agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
     if args.out:
         with new_folder(path.parent):
@@ -401,6 +269,11 @@ def _add_setting(command):
     command.add_argument("--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]")
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
+    command.add_argument(
+        "--untrained-setting",
+        action="store_true",
+        help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
+    )
     _add_task(command)
 
 
@@ -438,6 +311,7 @@ def _add_evaluation(command, out, suite):
         "--resume", action="store_true", help="go on with an evaluation that was cut short in the folder --out"
     )
     command.add_argument("--out", type=name, default=out, help="folder for results.json, report.html and videos/")
+    add_executor(command)
     command.set_defaults(run=_evaluate)
 
 
@@ -481,19 +355,34 @@ def parser():
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    export = commands.add_parser(
+        "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
+    )
+    export.number("--seed", int, 0, MOST_SEED, default=0)
+    export.add_argument("--track", type=name, default="local", help="local or global")
+    export.add_argument("--sensor", type=name, default="lidar2d", help="lidar2d, lidar3d or camera")
+    export.add_argument("--suite", type=name, default=None, help="take the task of a suite's cell (bson list)")
+    export.add_argument("--cell", type=name, default=None, help="its name, of a suite with several")
+    _add_task(export)
+    export.add_argument("--out", type=name, required=True, help="folder, new or empty")
+    export.set_defaults(run=_export)
+
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
     train.add_argument("--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
     train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="at once")
-    train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0)
+    train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
+    train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, one after the other, or at once with --executor ray")
     train.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
     )
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    add_executor(train)
+    train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
@@ -511,7 +400,7 @@ def parser():
     return root
 
 
-_DRAW_NOTHING = (_compare, _leaderboard, _doctor, _list)
+_DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
 def main(argv=None):

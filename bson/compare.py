@@ -1,19 +1,14 @@
-"""Several results of `bson evaluate` beside each other: a table, compare.json and compare.html, with paired differences.
+"""Several results of `bson evaluate` beside each other, with paired differences: a table, compare.json, compare.html.
 
 Episodes are paired by cell and seed: there the robots met the same people on the same map.
 """
 
-import dataclasses
-import html
 import json
 import math
-import pathlib
 
-from bson import heatmap
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, METRICS, summarise
-from bson.page import numbers, page, plural
-from bson.results import read_results
+from bson.page import BETTER, DASH, numbers, plural, render
 from macid.documents import shown
 
 MAIN = (
@@ -24,39 +19,19 @@ BY_CELL = ("SNS", "success", "Coll")
 LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance in more than 5%
 
 
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """Results. source: where they lie, as the user named it; content: of results.json."""
-
-    source: str
-    content: dict
-
-    @property
-    def rows(self):
-        """{(cell, seed): metrics of the episode}."""
-        return {(row["cell"], row["seed"]): row for row in self.content["episodes"]}
-
-    @property
-    def configs(self):
-        """{cell: its configuration}."""
-        return {cell["name"]: cell["config"] for cell in self.content["cells"]}
-
-
-def load_run(source):
-    """The Run in `source`, a folder that `bson evaluate` wrote, or its results.json. Raises UsageError."""
-    path = pathlib.Path(source)
-    return Run(str(source), read_results(path / "results.json" if path.is_dir() else path))
-
-
 def check_comparable(runs):
-    """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting."""
+    """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting.
+
+    runs: bson.results.Results.
+    """
     first = runs[0]
     for run in runs[1:]:
         for key, what in (("suite", "suite"), ("overrides", "--set"), ("suite_digest", "digest of the suite")):
             ours, theirs = (each.content.get(key) for each in (first, run))
             if ours != theirs:
                 raise ValueError(
-                    f"Can't compare '{first.source}' and '{run.source}': {what} {_setting(ours)} against {_setting(theirs)}."
+                    f"Can't compare '{first.source}' and '{run.source}': {what} {_setting(ours)} against "
+                    f"{_setting(theirs)}."
                 )
         for cell, config in first.configs.items():
             for field, value in run.configs.get(cell, config).items():
@@ -68,8 +43,8 @@ def check_comparable(runs):
         ours, theirs = (each.content.get("task_digest") for each in (first, run))
         if ours and theirs and ours != theirs:
             raise ValueError(
-                f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights changed in "
-                "between, under the same name. Evaluate again."
+                f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights "
+                "changed in between, under the same name. Evaluate again."
             )
 
 
@@ -141,7 +116,7 @@ def _notes(runs, names, keys):
             notes.append(
                 f"{name}: {plural(len(faults), 'episode')} ended in a fault of the simulation and is not scored."
             )
-    for package, version in runs[0].content["versions"].items():
+    for package in runs[0].content["versions"]:
         found = dict.fromkeys(run.content["versions"].get(package) for run in runs)
         if len(found) > 1:
             notes.append(f"Made with different versions of {package}: {', '.join(map(str, found))}.")
@@ -235,55 +210,31 @@ def format_comparison(content):
     return "\n".join([*lines, "", *content["notes"]]).rstrip()
 
 
-_STYLE = """
-.plain:has(.runs){width:fit-content;max-width:100%} .runs{font-size:14px} .runs td,.runs th{vertical-align:top;padding:4px 14px}
-.runs td>span{display:block;white-space:nowrap}
-.runs td:first-child,.runs th:first-child{position:sticky;left:0} .runs th:first-child{z-index:2}
-.runs tr:nth-child(odd) td:first-child{background:#fff} .runs tr.group td:first-child{background:#f4f6f8;color:#5b6876}
-.runs tr.group td:first-child{font-weight:600;text-align:left;padding-top:10px}
-@media(max-width:640px){.runs{font-size:13px} .runs td,.runs th{padding:4px 8px} .runs td.left small{display:block}}
-.difference{font-size:13px;color:#5b6876} .better{color:#166c8c;font-weight:600} .worse{color:#bc4a30;font-weight:600}
-"""
+def _side(side, metric, better):
+    """What the page shows of `metric` of one run, a `side` as of `_side_by_side`: the mean with its interval, and the
+    difference from the first run, with the CSS class of a better or worse one."""
+    row, compared = side["summary"].get(metric), side["difference"] is not None
+    shown = {"value": None if row is None else numbers(row["mean"], row["low"], row["high"]), "compared": compared}
+    if compared:
+        difference, kind = side["difference"].get(metric), ""
+        if difference is not None and difference["differs"] and better:
+            kind = " better" if (difference["mean"] > 0) == (better == "up") else " worse"
+        shown |= {"difference": DASH if difference is None else _text(difference, True), "kind": kind}
+    return shown
 
 
-def _judged(row, better):
-    """A row of `differences` as HTML: teal where it differs for the better, red for the worse."""
-    if row is None:
-        return '<span class="difference">&ndash;</span>'
-    kind = ""
-    if row["differs"] and better:
-        kind = " better" if (row["mean"] > 0) == (better == "up") else " worse"
-    return f'<span class="difference{kind}">{_text(row, True)}</span>'
-
-
-def _value(row):
-    if row is None:
-        return "<span>&ndash;</span>"
-    mean, low, high = numbers(row["mean"], row["low"], row["high"])
-    return f"<span><b>{mean}</b> <small>[{low}, {high}]</small></span>"
-
-
-def _metric_table(content):
-    """Every metric but the minor ones, a column a run; below each mean its difference from the first run's."""
-    runs = content["runs"]
-    arrow = {"up": "&uarr;", "down": "&darr;", "": ""}
-    lines = []
+def _groups(runs):
+    """{group: rows (metric, its arrow, what is shown of each run)} of every metric but the minor ones."""
     shown = [m for m in METRICS if not m.minor and any(m.name in run["summary"] for run in runs)]
-    for group in (group for group in GROUPS if any(metric.group == group for metric in shown)):
-        lines.append(f'<tr class="group"><td colspan="{len(runs) + 1}">{group.capitalize()}</td></tr>')
-        for metric in (metric for metric in shown if metric.group == group):
-            values = []
-            for run in runs:
-                difference = (
-                    "" if run["difference"] is None else _judged(run["difference"].get(metric.name), metric.better)
-                )
-                values.append(f"<td>{_value(run['summary'].get(metric.name))}{difference}</td>")
-            unit = f"<small>{metric.unit} {arrow[metric.better]}</small>"
-            lines.append(
-                f'<tr><td class="left" title="{html.escape(metric.what)}">{metric.name} {unit}</td>{"".join(values)}</tr>'
-            )
-    head = "".join(f"<th>{html.escape(run['name'])}</th>" for run in runs)
-    return f'<div class="plain"><table class="runs"><tr><th class="left">metric</th>{head}</tr>{"".join(lines)}</table></div>'
+    return {
+        group: [
+            (metric, BETTER[metric.better], [_side(run, metric.name, metric.better) for run in runs])
+            for metric in shown
+            if metric.group == group
+        ]
+        for group in GROUPS
+        if any(metric.group == group for metric in shown)
+    }
 
 
 def _tile(grades, row):
@@ -293,22 +244,21 @@ def _tile(grades, row):
 
 
 def _overview(runs):
-    """SNS, success and collisions of the runs as dot plots."""
+    """SNS, success and collisions of the runs as dot plots, each as HTML."""
     most = max([10.0, *(run["summary"]["Coll"]["high"] for run in runs if "Coll" in run["summary"])])
     shown = (
         ("SNS", Scale(0.0, 100.0), "SNS", "of 100, more is better", 1),
         ("success", Scale(0.0, 1.0), "Success", "share that reached the goal", 2),
         ("Coll", Scale(0.0, most, "down", True), "Collision steps", "of 0.02 s; less is better", None),
     )
-    maps = (
+    return [
         cell_maps([_tile({"run": run["name"]}, run["summary"].get(name)) for run in runs], scale, heading, note, digits)
         for name, scale, heading, note, digits in shown
-    )
-    return f'<div class="dotplots">{"".join(maps)}</div>'
+    ]
 
 
 def _sns_maps(content):
-    """The SNS over the suite's cells: of each run, then of the differences from the first."""
+    """The SNS over the suite's cells: of each run, then of the differences from the first; each as HTML."""
     names, cells = [run["name"] for run in content["runs"]], content["cells"]
     maps = []
     for place, name in enumerate(names):
@@ -320,64 +270,41 @@ def _sns_maps(content):
         tiles = [_tile(cell["grades"], cell["runs"][place]["difference"].get("SNS")) for cell in cells]
         heading = f"{name} less {names[0]}"
         maps.append(cell_maps(tiles, Scale(-most, most), heading, "paired difference of the SNS", 1))
-    kind = "dotplots" if len(cells[0]["grades"]) == 1 else "films"
-    return f'<div class="{kind}">{"".join(maps)}</div>'
+    return maps
 
 
-def _cell_table(content):
-    """Success and collisions beside the SNS, cell by cell."""
-    names = [run["name"] for run in content["runs"]]
+def _cells(content):
+    """Rows (cell, what is shown of each run): success and collisions beside the SNS."""
     better = {metric.name: metric.better for metric in METRICS}
-    head = "".join(f"<th>{html.escape(name)}<br><small>{metric}</small></th>" for metric in BY_CELL for name in names)
-    lines = []
-    for cell in content["cells"]:
-        values = [
-            f"<td>{_value(side['summary'].get(metric))}"
-            + ("" if side["difference"] is None else _judged(side["difference"].get(metric), better[metric]))
-            + "</td>"
-            for metric in BY_CELL
-            for side in cell["runs"]
-        ]
-        lines.append(f'<tr><td class="left">{html.escape(cell["name"])}</td>{"".join(values)}</tr>')
-    return (
-        '<details><summary>All cells in figures</summary><div class="plain"><table class="runs">'
-        f'<tr><th class="left">cell</th>{head}</tr>{"".join(lines)}</table></div></details>'
-    )
-
-
-def _made_with(content):
-    commands = "".join(
-        f'<p class="sub">{html.escape(run["name"])}: <code>{html.escape(run["command"] or run["source"])}</code></p>'
-        for run in content["runs"]
-    )
-    what = "of the first cell" if content["cells"] else "of the episodes"
-    folded = {
-        f"Configuration {what}": content["config"],
-        "Versions": {run["name"]: run["versions"] for run in content["runs"]},
-    }
-    return commands + "".join(
-        f"<details><summary>{name}</summary><pre>{html.escape(json.dumps(value, indent=1))}</pre></details>"
-        for name, value in folded.items()
-    )
+    return [
+        (cell["name"], [_side(side, metric, better[metric]) for metric in BY_CELL for side in cell["runs"]])
+        for cell in content["cells"]
+    ]
 
 
 def make_page(content):
     """compare.html as text, of the `content` of compare.json."""
-    runs = content["runs"]
-    first = html.escape(runs[0]["name"])
-    title = f"{', '.join(run['name'] for run in runs)} on {content['suite']}"
-    digest = f" (digest <code>{content['suite_digest']}</code>)" if content["suite_digest"] else ""
-    changed = f", changed: {html.escape(_setting(content['overrides']))}" if content["overrides"] else ""
-    cells = f" in {plural(len(content['cells']), 'cell')}" if content["cells"] else ""
-    notes = "".join(f'<p class="note">{html.escape(note)}</p>' for note in content["notes"])
-    strata = f"<h2>SNS by cell</h2>{_sns_maps(content)}{_cell_table(content)}" if content["cells"] else ""
-    body = f"""<h1>{html.escape(title)}</h1>
-<p class="sub">BSON suite <b>{html.escape(content["suite"])}</b>{digest}{changed}; {plural(content["episodes"], "episode")}
-of each run{cells}; means with bootstrap 95% intervals.</p>
-{notes}{_overview(runs)}
-<h2>Metrics</h2><p class="sub">Below a mean: its difference from {first}'s, over pairs of episodes with the same cell and seed.
-<span class="better">Better *</span> and <span class="worse">worse *</span>: the interval excludes 0, and comes of at least
-{LEAST_PAIRS} pairs. Infinite values don't enter.</p>{_metric_table(content)}
-{strata}
-<h2>Made with</h2>{_made_with(content)}"""
-    return page(title, body, heatmap.STYLE + _STYLE)
+    runs, cells = content["runs"], content["cells"]
+    documents = {
+        f"Configuration {'of the first cell' if cells else 'of the episodes'}": content["config"],
+        "Versions": {run["name"]: run["versions"] for run in runs},
+    }
+    strata = {"axes": len(cells[0]["grades"]), "maps": _sns_maps(content)} if cells else {}
+    return render(
+        "compare.html",
+        title=f"{', '.join(run['name'] for run in runs)} on {content['suite']}",
+        suite=content["suite"],
+        digest=content["suite_digest"],
+        changed=_setting(content["overrides"]) if content["overrides"] else "",
+        count=content["episodes"],
+        names=[run["name"] for run in runs],
+        notes=content["notes"],
+        overview=_overview(runs),
+        least_pairs=LEAST_PAIRS,
+        groups=_groups(runs),
+        by_cell=BY_CELL,
+        cells=_cells(content),
+        **strata,
+        commands=[(run["name"], run["command"] or run["source"]) for run in runs],
+        documents={heading: json.dumps(value, indent=1) for heading, value in documents.items()},
+    )

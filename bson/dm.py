@@ -10,7 +10,7 @@ import numpy as np
 from dm_env import specs
 
 from bson.env import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
-from bson.session import Session
+from bson.episodes.session import Session
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.drawing import close_before_all_else
@@ -70,7 +70,7 @@ class Environment(Rebuilt, dm_env.Environment):
 
     def _make_physics(self):
         self.physics = Physics.from_model(MjModel(self.world.scene))
-        # The batch has computed the sensors already; its readings are copied.
+        # The engine has computed the sensors already; its readings are copied.
         self.physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
 
     def __deepcopy__(self, memo):
@@ -125,12 +125,12 @@ class Environment(Rebuilt, dm_env.Environment):
 
     def _mirror(self):
         """Puts the world's state into `physics`, for named readings and pictures."""
-        batch, data = self.world.batch, self.physics.data
+        engine, data = self.world.engine, self.physics.data
         for name in ("qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat"):
-            np.copyto(getattr(data, name), batch.bind(name)[0])
+            np.copyto(getattr(data, name), getattr(engine, name)[0])
         data.time = self.world.time[0]
         self.physics.forward()
-        np.copyto(data.sensordata, batch.bind("sensordata")[0])
+        np.copyto(data.sensordata, engine.sensordata[0])
 
 
 def _spec(space, name):

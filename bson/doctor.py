@@ -47,7 +47,7 @@ def _namesakes():
 def _packages():
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # MJX remarks that it has no Warp
         importlib.import_module("mujoco.mjx")
-    for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "scipy", "tqdm"):
+    for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "jinja2", "scipy", "tqdm"):
         importlib.import_module(name)
     return "all there"
 
@@ -61,13 +61,13 @@ def _assets():
 
 def _physics():
     from bson.sensors import Imu, Lidar2D
+    from bson.simulation.world import World
     from bson.task import TaskConfig
-    from bson.world import World
 
     world = World(TaskConfig(num_pedestrians=2), sensors=(Imu(), Lidar2D()))
     world.reset([0], [0])
     world.step([0], [[1.0, 0.0]])
-    return f"a world steps; {world.batch.nthread} MuJoCo threads on {os.cpu_count()} CPUs"
+    return f"a world steps; {world.engine.about} on {os.cpu_count()} CPUs"
 
 
 def _jax():
@@ -107,9 +107,9 @@ def _read(cameras):
     import numpy as np
 
     from bson.sensors import Camera
+    from bson.simulation.world import World
     from bson.task import TaskConfig
     from bson.tracks import SENSORS
-    from bson.world import World
 
     known = {sensor.key: sensor for sensors in SENSORS.values() for sensor in sensors}
     chosen = [sensor for sensor in known.values() if isinstance(sensor, Camera) == cameras]

@@ -7,10 +7,11 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from bson.session import Recorder, Session
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
+from bson.simulation.world import check_worlds
 from bson.task import TaskConfig
 from bson.tracks import make_track, sensor_documents
-from bson.world import check_worlds
 from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -163,11 +164,28 @@ class BsonEnv(_Specified, gymnasium.Env):
     Eq. 5: 1.0 per metre that the goal came closer, +2.0 at the goal, -1.0 in a control step with any contact.
 
     ## Episode
-    It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps, or where physics fails. `info` has the seed of the
-    episode, time, pose and goal (world frame), start_distance (d_i), distance (d_f), travelled, collisions (steps of
-    0.02 s in contact) and collisions_person, _robot_on_person, _obstacle, _wall, nearest_person (surface to surface; inf if nobody) and
-    arrived: all that the metrics need; and fault: "", or what of the physics became infinite or not a number, which no
-    observation shows.
+    It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps, or where physics fails.
+
+    ## Info
+    All that the metrics need. No observation shows what failed.
+
+    | key | shape | what | frame, unit |
+    |---|---|---|---|
+    | seed | - | seed of the episode | - |
+    | time | - | since the reset | s |
+    | pose | (3,) | the robot's x, y, yaw | world, m, m, rad |
+    | goal | (2,) | position of the robot's goal | world, m |
+    | start_distance | - | d_i: from the start to the goal, as the crow flies | m |
+    | distance | - | d_f: from here to the goal, as the crow flies | m |
+    | travelled | - | way driven | m |
+    | collisions | - | steps in which the robot touched anything | steps of 0.02 s |
+    | collisions_person | - | steps in which it touched a person | steps of 0.02 s |
+    | collisions_robot_on_person | - | of those: steps in which it moved towards a person that it touched, at more than 0.05 m/s | steps of 0.02 s |
+    | collisions_obstacle | - | steps in which it touched an obstacle | steps of 0.02 s |
+    | collisions_wall | - | steps in which it touched an outer wall | steps of 0.02 s |
+    | nearest_person | - | to the nearest person, surface to surface; infinity without any | m |
+    | arrived | - | whether the robot is at its goal | - |
+    | fault | - | empty, or what of the physics became infinite or not a number; such a world stays as it was | - |
 
     ## Arguments
     The fields of `bson.task.TaskConfig` (num_pedestrians or pedestrian_density, obstacle_density, pedestrian_model,

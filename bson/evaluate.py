@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from bson.agents import act, reset_agent
+from bson.agents.contract import Setting, act, made_for, reset_agent
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
 from bson.metrics import METRICS, measure, summarise
-from bson.session import Recorder, Session
-from bson.world import World
+from bson.simulation.world import World
 from macid import files
 
 BATCH = 16  # worlds at once
@@ -18,13 +19,14 @@ BATCH = 16  # worlds at once
 def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=None, batch=BATCH, nthread=0):
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
-    make_agent: gives a callable for one world (see bson.agents). progress: called after each control step of the batch
-    with (control steps done, Episode or None) for each episode that ended, and (steps, None) otherwise. An episode
-    does not depend on which others run beside it.
+    make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
+    progress: called after each control step of the batch with (control steps done, Episode or None) for each episode
+    that ended, and (steps, None) otherwise. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
+    setting = Setting.of(config, track)
+    agents = [made_for(make_agent, setting) for _ in range(nworld)]  # one that refuses does so before anything runs
     session = Session(config, track, nworld, nthread=nthread)
-    agents = [make_agent() for _ in range(nworld)]
     waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
     observations = {}
 

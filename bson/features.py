@@ -11,8 +11,8 @@ SECTORS = 36
 RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
 SCANS = (0, 2, 4)  # how many control steps ago the scans were that are seen
 FEATURES = 6 + len(SCANS) * SECTORS
+TOP = (2.0, 2.0)  # the Jackal's top speed and yaw rate [m/s, rad/s]
 _GOAL_RANGE = 20.0  # [m]
-_SPEEDS = np.array([2.0, 2.0], np.float32)  # of the Jackal [m/s, rad/s]
 
 
 def closeness(lidar):
@@ -21,19 +21,21 @@ def closeness(lidar):
     return np.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
 
 
-def motion(observation):
-    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares."""
+def motion(observation, top=TOP):
+    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares of
+    `top` (2,) [m/s, rad/s]."""
     goal = observation["goal"]
     distance = np.linalg.norm(goal, axis=-1, keepdims=True)
     near, far = np.exp(-distance), np.minimum(distance / _GOAL_RANGE, 1.0)
-    columns = [goal / np.maximum(distance, 1e-6), near, far, observation["velocity"] / _SPEEDS]
+    columns = [goal / np.maximum(distance, 1e-6), near, far, observation["velocity"] / np.asarray(top, np.float32)]
     return np.concatenate(columns, axis=-1).astype(np.float32)
 
 
 class Features:
-    """Features of `count` robots, with a memory of their last scans."""
+    """Features of `count` robots, with a memory of their last scans. top: see `motion`."""
 
-    def __init__(self, count):
+    def __init__(self, count, top=TOP):
+        self._top = top
         self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
 
     def begin(self, rows, observation):
@@ -49,4 +51,4 @@ class Features:
 
     def _vector(self, rows, observation):
         scans = self._scans[rows][:, SCANS].reshape(-1, len(SCANS) * SECTORS)
-        return np.concatenate([motion(observation), scans], axis=-1)
+        return np.concatenate([motion(observation, self._top), scans], axis=-1)

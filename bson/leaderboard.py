@@ -1,4 +1,4 @@
-"""The leaderboard: results of `bson evaluate` as Markdown tables, sorted by SNS, one a suite; and its place in a README."""
+"""The leaderboard: results of `bson evaluate` as Markdown tables, one a suite, sorted by SNS, in a README or alone."""
 
 import shlex
 
@@ -35,21 +35,31 @@ def _check(runs):
             )
 
 
+def _plain(text):
+    """`text` as Markdown that shows it as it is: the characters of HTML's and Markdown's own are written as numbers."""
+    return "".join(f"&#{ord(c)};" if c in "<>&`|*_~[]\\" else c for c in text)
+
+
+def _code(text):
+    """`text` as code in Markdown, also where it has what would end the code, or one of the marks BEGIN and END."""
+    return f"<code>{_plain(text)}</code>" if "`" in text or "<" in text else f"`{text}`"
+
+
 def _row(rank, run):
     content = run.content
-    agent, summary = content["agent"].replace("|", "\\|"), content["summary"]
+    agent, summary = _code(content["agent"]).replace("|", "\\|"), content["summary"]
     faults = f" ({len(content['faults'])} faulty)" if content.get("faults") else ""
     score = "-"
     if "SNS" in summary:
         low, high = content["intervals"]["SNS"]
         score = f"{summary['SNS']:.1f} [{low:.1f}, {high:.1f}]"
     values = [form.format(summary[name]) if name in summary else "-" for name, _, form in _COLUMNS]
-    return [str(rank), f"`{agent}`{faults}", ", ".join(content.get("track") or ["-"]), score, *values]
+    return [str(rank), f"{agent}{faults}", _plain(", ".join(content.get("track") or ["-"])), score, *values]
 
 
 def _caption(run):
     content, episodes = run.content, len(_played(run))
-    digest = f", digest `{content['suite_digest']}`" if content.get("suite_digest") else ""
+    digest = f", digest {_code(content['suite_digest'])}" if content.get("suite_digest") else ""
     cells = f" in {len(content['cells'])} cells" if len(content["cells"]) > 1 else ""
     other = "" if content.get("frozen_seeds", True) else ", not the suite's own seeds"
     words = ["bson", "evaluate", "--agent", "AGENT", "--suite", content["suite"]]
@@ -57,8 +67,8 @@ def _caption(run):
     for key, value in content.get("overrides", {}).items():
         words += ["--set", f"{key}={value}"]
     return (
-        f"Suite `{content['suite']}`{digest}: {plural(episodes, 'episode')}{cells}{other}; means, with bootstrap 95% "
-        f"intervals for the SNS.\nEach row: `{shlex.join(words)}`; the table: `bson leaderboard`."
+        f"Suite {_code(content['suite'])}{digest}: {plural(episodes, 'episode')}{cells}{other}; means, with bootstrap "
+        f"95% intervals for the SNS.\nEach row: {_code(shlex.join(words))}; the table: `bson leaderboard`."
     )
 
 
@@ -83,7 +93,7 @@ def leaderboard(runs):
 
 
 def fill_readme(path, text):
-    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError without them."""
+    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError where they lack."""
     path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:
         content = read_bytes(path, "README", _MOST_BYTES).decode()

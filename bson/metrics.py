@@ -7,80 +7,34 @@ and what it is, with its threshold.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 
 import numpy as np
 
-from macid import geometry
-from macid.crowd import STALLED
-from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
+from bson.episodes.effects import SOCIAL_SPACE
+from bson.episodes.record import Episode
+from macid.state import RADIUS, STALLED
 
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
-INTIMATE_SPACE, PERSONAL_SPACE, SOCIAL_SPACE = 0.45, 1.2, 3.6  # [m], surface to surface
+INTIMATE_SPACE, PERSONAL_SPACE = 0.45, 1.2  # [m], surface to surface
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
 GROUPS = ("score", "safety", "comfort", "efficiency", "others")
 
 
-@dataclasses.dataclass(frozen=True)
-class Episode:
-    """One episode of one robot. World frame; metres, seconds, radians. T control steps, K people, B boxes."""
-
-    seed: int
-    start_distance: float  # d_i: from the start to the goal, as the crow flies
-    shortest: float  # way from the start to the goal around the walls; straight where the router finds none
-    final_distance: float  # d_f
-    travelled: float  # way driven
-    duration: float
-    arrived: bool
-    timed_out: bool  # the horizon came first
-    collisions: int  # physics steps (0.02 s) in contact with anything
-    collisions_person: int
-    collisions_robot_on_person: int  # of those: moving towards a person that it touches, at more than 0.05 m/s
-    collisions_obstacle: int
-    collisions_wall: int
-    collisions_so_far: np.ndarray  # (T + 1,) the count of `collisions` up to each control step
-    nearest_person: np.ndarray  # (T + 1,) surface-to-surface; infinity where there is nobody
-    goal: np.ndarray  # (2,)
-    boxes: np.ndarray  # (B, 5), the first four the outer walls
-    lcf: np.ndarray  # (K,)
-    pose: np.ndarray  # (T + 1, 3) of the robot: x, y, yaw
-    velocity: np.ndarray  # (T + 1, 2) v, w
-    people: np.ndarray  # (T + 1, K, 3) x, y, yaw
-    people_velocity: np.ndarray  # (T + 1, K, 2) world frame
-    qpos: np.ndarray  # (T + 1, nq) MuJoCo's configuration, for films
-    period: float  # of control
-    robot_radius: float  # of the circle around its footprint
-    people_goals: np.ndarray | None = None  # (K, 2) where they go first
-    people_alone: np.ndarray | None = None  # (T + 1, K, 3) the same people without the robot, if that was played
-    fault: str = ""  # what of the physics became infinite or not a number: an episode that is not scored
-
-    @functools.cached_property
-    def effects(self):
-        """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
-        others; {} without a pair.
-
-        delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as there
-        at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what brings
-        them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
-        """
-        return _effects(self)
-
-
-def route_completion(episode):
+def route_completion(episode: Episode) -> float:
     """RC = 1 - d_f / d_i."""
     return 1.0 - episode.final_distance / episode.start_distance
 
 
-def path_efficiency(episode):
+def path_efficiency(episode: Episode) -> float:
     """PE = (d_i - d_f) / way driven, clipped to [0, 1]."""
     if episode.travelled <= 0:
         return 0.0
     return float(np.clip((episode.start_distance - episode.final_distance) / episode.travelled, 0.0, 1.0))
 
 
-def speed_score(episode):
+def speed_score(episode: Episode) -> float:
     """SP: the mean speed, from 0.5 m/s (0) to 1.5 m/s (1)."""
     low, high = SPEED_RANGE
     if episode.duration <= 0:
@@ -88,7 +42,7 @@ def speed_score(episode):
     return float(np.clip((episode.travelled / episode.duration - low) / (high - low), 0.0, 1.0))
 
 
-def sns(episode):
+def sns(episode: Episode) -> float:
     """Eq. 6 for one episode: RC gamma^c (50 PE + 50 SP).
 
     Where RC is below 0, collisions don't discount it: nothing that the robot does wrong brings the score nearer to 0.
@@ -98,7 +52,7 @@ def sns(episode):
     return completed * quality * (GAMMA**episode.collisions if completed > 0 else 1.0)
 
 
-def time_to_collision(episode):
+def time_to_collision(episode: Episode) -> np.ndarray:
     """For each control step the least t >= 0 [s] with |dp + dv t| = r1 + r2 for a person, both keeping their velocity.
 
     The robot is the disc around its footprint. (T + 1,): 0 where the discs overlap, infinity where none ever will.
@@ -114,7 +68,7 @@ def time_to_collision(episode):
     return np.where(apart <= 0, 0.0, time).min(axis=-1, initial=np.inf)
 
 
-def spl(episode):
+def spl(episode: Episode) -> float:
     """SPL: 0 for who did not arrive, else the shortest way over the way driven, at most 1 (Anderson et al. 2018)."""
     return float(episode.arrived) * episode.shortest / max(episode.travelled, episode.shortest)
 
@@ -136,50 +90,6 @@ def _derivative(episode, order):
 
 def _within(episode, distance):
     return float((episode.nearest_person < distance).mean())
-
-
-def _first_ways(people, goals):
-    """When people (T + 1, K, 3) reach their `goals` (K, 2), as a control step, the last one where they never do: (K,);
-    and the metres walked until then that brought them no closer: (K,)."""
-    distance = geometry.norm(people[..., :2] - goals)
-    there = distance <= GOAL_RADIUS
-    step = np.where(there.any(axis=0), there.argmax(axis=0), len(people) - 1)
-    walked = np.concatenate([0 * distance[:1], np.cumsum(geometry.norm(np.diff(people[..., :2], axis=0)), axis=0)])
-    who = np.arange(people.shape[1])
-    return step, walked[step, who] - (distance[0] - distance[step, who])
-
-
-def _contacts(people, who):
-    """Control steps after which each of the people `who` (K,) bool touches another of `people` (T + 1, K, 3): (K,)."""
-    places, steps = people[1:, :, :2], np.zeros(people.shape[1], int)
-    for person in np.flatnonzero(who):
-        apart = geometry.norm(places - places[:, person, None])
-        apart[:, person] = np.inf
-        steps[person] = (apart.min(axis=-1) <= 2 * RADIUS + CONTACT_GAP).sum()
-    return steps
-
-
-def _met(episode):
-    """Whom the robot came near, within SOCIAL_SPACE as discs, before they reached their first goal: (K,) bool."""
-    apart = geometry.norm(episode.people[..., :2] - episode.pose[:, None, :2])
-    near = apart < SOCIAL_SPACE + episode.robot_radius + RADIUS
-    return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
-
-
-def _effects(episode):
-    """Episode.effects of an episode."""
-    if episode.people_alone is None:
-        return {}
-    both = episode.people, episode.people_alone
-    (step, way), (step_alone, way_alone) = (_first_ways(people, episode.people_goals) for people in both)
-    met = _met(episode)
-    contacts, contacts_alone = (_contacts(people, met) for people in both)
-    there = np.minimum(step, step_alone) < len(episode.people) - 1
-    return {
-        "delay": np.where(met & there, (step - step_alone) * episode.period, np.nan),
-        "detour": np.where(met, way - way_alone, np.nan),
-        "added_contact": np.where(met, (contacts - contacts_alone) * episode.period, np.nan),
-    }
 
 
 def _effect(name):
@@ -281,22 +191,22 @@ METRICS = (
 # fmt: on
 
 
-def measure(episode):
+def measure(episode: Episode) -> dict[str, float]:
     """All metrics of one episode, as a dict of floats in the order of METRICS."""
     return {metric.name: metric.of(episode) for metric in METRICS}
 
 
-def spread_by_score(episodes, most):
+def spread_by_score(episodes: list[Episode], most: int) -> list[Episode]:
     """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
     ranked = sorted(episodes, key=sns)
     places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)
-    return [ranked[place] for place in np.unique(places)]
+    return [ranked[place] for place in np.unique(places).tolist()]
 
 
 _DRAWN = 1 << 22  # values that are drawn at once, 32 MB
 
 
-def summarise(measured, resamples=9999):
+def summarise(measured: list[dict[str, float]], resamples: int = 9999) -> dict[str, dict]:
     """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high", "count"}}.
 
     measured: dicts of `measure`. The interval is the percentile bootstrap's, from a fixed seed, so that the same

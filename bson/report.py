@@ -1,14 +1,12 @@
-"""report.html: one self-contained page with the score, its parts, the suite's cells, trajectories, distributions, films."""
+"""report.html: one self-contained page with the score, its parts, the suite's cells, ways, distributions and films."""
 
-import html
 import json
 
 import numpy as np
 
-from bson import heatmap
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, METRICS, spread_by_score
-from bson.page import ACCENT, BAD, GRID, INK, image, new_figure, numbers, page, plural, video
+from bson.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
 
 # (metric, heading, unit, decimals, what it is) of the cards and the tables of cells and episodes
 _SHOWN = (
@@ -22,7 +20,6 @@ _SHOWN = (
     ("nearest_person", "Nearest person", " m", 2, "least surface distance"),
     ("personal_space", "Personal space", "", 3, "share of time within 1.2 m"),
 )
-_BETTER = {"up": "&uarr;", "down": "&darr;", "": "&ndash;"}
 
 # (metric, label, the least end of the axis) of the histograms
 _DISTRIBUTIONS = (
@@ -113,48 +110,29 @@ def plot_score_over_lcf(episodes):
     return figure
 
 
-def _metric_rows(content, metrics, meaning):
-    """Rows of a table of `metrics`; meaning: whether with a column of what each is."""
-    rows = []
-    for metric in metrics:
-        value, interval, few = "&ndash;", "", ""
-        if metric.name in content["summary"]:
-            low, high = content["intervals"][metric.name]
-            value, *ends = numbers(content["summary"][metric.name], low, high)
-            interval = " to ".join(ends)
-            entered, count = content["counts"][metric.name], len(content["episodes"])
-            few = f"<br><small>{entered} of {count} episodes</small>" if entered < count else ""
-        what = f'<td class="left">{html.escape(metric.what)}</td>' if meaning else ""
-        rows.append(
-            f'<tr><td class="left" title="{html.escape(metric.what)}">{metric.name} '
-            f"<small>{metric.unit} {_BETTER[metric.better]}</small>{few}</td><td><b>{value}</b></td>"
-            f'<td class="nowrap">{interval}</td>{what}</tr>'
-        )
-    return "".join(rows)
+def _metric_row(content, metric):
+    """What a table shows of a metric."""
+    row = {"metric": metric, "better": BETTER[metric.better] or DASH, "value": DASH, "interval": "", "few": ""}
+    if metric.name in content["summary"]:
+        low, high = content["intervals"][metric.name]
+        row["value"], *ends = numbers(content["summary"][metric.name], low, high)
+        row["interval"] = " to ".join(ends)
+        entered, count = content["counts"][metric.name], len(content["episodes"])
+        row["few"] = f"{entered} of {count} episodes" if entered < count else ""
+    return row
 
 
-def _metric_tables(content):
-    """The groups after the score side by side, and folded away what every metric is, the minor ones among them."""
-    head = '<tr><th class="left">metric <small>unit, better</small></th><th>mean</th><th>95% interval</th>'
+def _metric_groups(content):
+    """{group: rows of its metrics} of the groups after the score, the minor metrics left out."""
     shown = [group for group in GROUPS[1:] if any(m.group == group and m.name in content["summary"] for m in METRICS)]
-    groups = "".join(
-        f'<div><h3>{group.capitalize()}</h3><div class="plain"><table>{head}</tr>'
-        + _metric_rows(content, [m for m in METRICS if m.group == group and not m.minor], False)
-        + "</table></div></div>"
+    return {
+        group: [_metric_row(content, metric) for metric in METRICS if metric.group == group and not metric.minor]
         for group in shown
-    )
-    return (
-        f'<h2>{", ".join(shown).capitalize()}</h2><div class="groups">{groups}</div>'
-        f"<details><summary>All {len(METRICS)} metrics, and what each is</summary>"
-        f'<div class="plain"><table>{head}<th class="left">what</th></tr>'
-        f"{_metric_rows(content, METRICS, True)}</table></div>"
-        "<p class=sub>Infinite values (nobody there, goal not reached, on no collision course) don't enter a mean. "
-        "Space shares contain one another: who is within 0.45 m is within 1.2 m too. After Francis et al. 2023.</p></details>"
-    )
+    }
 
 
 def _maps(cells):
-    """SNS, success and collisions over the axes of the suite's `cells`."""
+    """SNS, success and collisions over the axes of the suite's `cells`, each as HTML."""
 
     def tiles(name):
         return [
@@ -163,35 +141,32 @@ def _maps(cells):
         ]
 
     most = max([10.0, *(cell["intervals"]["Coll"][1] for cell in cells if "Coll" in cell["intervals"])])
-    maps = [
+    return [
         cell_maps(tiles("SNS"), Scale(0.0, 100.0), "SNS", "of 100, more is better", 1),
         cell_maps(tiles("success"), Scale(0.0, 1.0), "Success", "share that reached the goal", 2),
         cell_maps(tiles("Coll"), Scale(0.0, most, "down", True), "Collision steps", "of 0.02 s; less is better"),
     ]
-    return f'<div class="dotplots">{"".join(maps)}</div>' if len(cells[0]["grades"]) == 1 else "".join(maps)
 
 
-def _cell_table(cells):
-    """The cells from the worst SNS to the best."""
-    axes = "".join(f'<th class="left">{html.escape(axis)}</th>' for axis in cells[0]["grades"])
-    header = "".join(f"<th>{label}</th>" for _, label, *_ in _SHOWN)
+def _ranked(cells):
+    """What the table of `cells` shows, from the worst SNS to the best."""
     rows = []
     for cell in sorted(cells, key=lambda cell: (cell["summary"].get("SNS", -np.inf), cell["name"])):
-        grades = "".join(f'<td class="left nowrap">{html.escape(grade)}</td>' for grade in cell["grades"].values())
-        values = [
-            f"{cell['summary'][name]:.{digits}f}" if name in cell["summary"] else "&ndash;"
-            for name, _, _, digits, _ in _SHOWN
-        ]
+        row = {"grades": list(cell["grades"].values()), "episodes": cell["episodes"], "interval": ""}
         if "SNS" in cell["summary"]:
             low, high = cell["intervals"]["SNS"]
-            values[0] = f"<b>{values[0]}</b> <small>[{low:.1f}, {high:.1f}]</small>"
-        shown = "".join(f'<td class="nowrap">{value}</td>' for value in values)
-        rows.append(f"<tr>{grades}<td>{cell['episodes']}</td>{shown}</tr>")
-    return f'<div class="scroll"><table><tr>{axes}<th>episodes</th>{header}</tr>{"".join(rows)}</table></div>'
+            row["interval"] = f"[{low:.1f}, {high:.1f}]"
+        rows.append(row | {"figures": _figures(cell["summary"])})
+    return rows
+
+
+def _figures(values):
+    """Of `values`, {metric: number or None}, what the tables of cells and episodes show, as texts."""
+    return [DASH if values.get(name) is None else f"{values[name]:.{digits}f}" for name, _, _, digits, _ in _SHOWN]
 
 
 def grade_settings(cells):
-    """What each grade of a suite's `cells` sets: {axis: {grade: {field: value}}}, as far as one axis alone decides it."""
+    """What each grade of a suite's `cells` sets: {axis: {grade: {field: value}}}, where one axis alone decides it."""
     configs = [cell["config"] for cell in cells]
     varying = [field for field in configs[0] if any(config[field] != configs[0][field] for config in configs)]
     found = {}
@@ -203,68 +178,17 @@ def grade_settings(cells):
     return found
 
 
-def _grades_table(cells):
-    rows = "".join(
-        f'<tr><td class="left">{html.escape(axis)}</td><td class="left">{html.escape(grade)}</td>'
-        f'<td class="left">{html.escape(", ".join(f"{field} = {value}" for field, value in fields.items()))}</td></tr>'
+def _grades(cells):
+    """Rows (axis, grade, what it sets)."""
+    return [
+        (axis, grade, ", ".join(f"{field} = {value}" for field, value in fields.items()))
         for axis, grades in grade_settings(cells).items()
         for grade, fields in grades.items()
-    )
-    return (
-        '<details><summary>What the grades are</summary><div class="plain"><table><tr><th class="left">axis</th>'
-        f'<th class="left">grade</th><th class="left">sets</th></tr>{rows}</table></div></details>'
-    )
-
-
-def _fault_table(faults):
-    rows = "".join(
-        f"<tr><td>{fault['seed']}</td><td class=left>{html.escape(fault['cell'])}</td><td>{fault['time']:.2f} s</td>"
-        f"<td class=left>{html.escape(fault['what'])}</td></tr>"
-        for fault in faults
-    )
-    return (
-        f'<h2>Faults</h2><p class="note">{plural(len(faults), "episode")} ended in a fault of the simulation and '
-        f'did not enter any figure of this page.</p><div class="scroll"><table><tr><th>seed</th><th class=left>cell</th>'
-        f"<th>after</th><th class=left>what</th></tr>{rows}</table></div>"
-    )
-
-
-def _episode_table(rows, several):
-    """rows: of results.json, ascending in SNS; several: whether the suite has several cells."""
-    header = "".join(f"<th>{label}</th>" for _, label, *_ in _SHOWN)
-    lines = []
-    for row in rows:
-        values = "".join(
-            f"<td>{'&ndash;' if row[name] is None else f'{row[name]:.{digits}f}'}</td>"
-            for name, _, _, digits, _ in _SHOWN
-        )
-        cell = f'<td class="left nowrap">{html.escape(row["cell"])}</td>' if several else ""
-        lines.append(f"<tr><td>{row['seed']}</td>{cell}{values}</tr>")
-    cell = '<th class="left">cell</th>' if several else ""
-    return f'<div class="scroll"><table><tr><th>seed</th>{cell}{header}</tr>{"".join(lines)}</table></div>'
-
-
-def _settings(content, cells):
-    """The command, and the configuration, which is folded away."""
-    what = "of the first cell" if len(cells) > 1 else "of the episodes"
-    shown = {"configuration " + what: content["config"], "versions": content["versions"]}
-    command = f'<pre class="wrap">{html.escape(content["command"])}</pre>' if content.get("command") else ""
-    digest = content.get("suite_digest")
-    frozen = f" (digest <code>{html.escape(digest)}</code>)" if digest else ""
-    changed = ", ".join(f"{key} = {value}" for key, value in content.get("overrides", {}).items())
-    changed = f"; changed from the suite: {html.escape(changed)}" if changed else ""
-    folded = "".join(
-        f"<details><summary>{name.capitalize()}</summary><pre>{html.escape(json.dumps(value, indent=1))}</pre></details>"
-        for name, value in shown.items()
-    )
-    return (
-        f'<h2>Made with</h2><p class="sub">Suite <b>{html.escape(content["suite"])}</b>{frozen}{changed}.</p>'
-        f"{command}{folded}"
-    )
+    ]
 
 
 def _ways(episodes, rows, several):
-    """Maps of nine episodes, evenly from the worst SNS to the best."""
+    """Maps of nine episodes, evenly from the worst SNS to the best, each as HTML."""
     of = {id(episode): row for episode, row in zip(episodes, rows, strict=True)}
     maps = []
     for episode in spread_by_score(episodes, 9):
@@ -273,10 +197,11 @@ def _ways(episodes, rows, several):
         maps.append(
             image(
                 plot_trajectory(episode),
-                f"{where}seed {row['seed']}: SNS {row['SNS']:.1f}, {row['Coll']:.0f} collision steps, {row['time']:.0f} s",
+                f"{where}seed {row['seed']}: SNS {row['SNS']:.1f}, {row['Coll']:.0f} collision steps, "
+                f"{row['time']:.0f} s",
             )
         )
-    return f'<div class="ways">{"".join(maps)}</div>'
+    return maps
 
 
 def _amount(counts):
@@ -293,39 +218,49 @@ def make_report(content, episodes, videos=(), no_video=""):
     cells = content.get("cells", [])
     several = len(cells) > 1
     summary, intervals, rows = content["summary"], content["intervals"], content["episodes"]
-    low, high = intervals["SNS"]
-    models = {str(cell["config"]["pedestrian_model"]): None for cell in cells or [content]}
-    people = _amount([episode.people.shape[1] for episode in episodes])
-    cards = "".join(
-        f'<div class="card"><span>{label}</span><b>{summary[name]:.{digits}f}{unit}</b> '
-        f"<small>[{intervals[name][0]:.{digits}f}, {intervals[name][1]:.{digits}f}]</small><span>{what}</span></div>"
+    cards = [
+        {"label": label, "what": what, "unit": unit}
+        | dict(zip(("value", "low", "high"), numbers(summary[name], *intervals[name], digits=digits), strict=True))
         for name, label, unit, digits, what in _SHOWN[1:]
         if name in summary
-    )
-    films = "".join(video(path, caption) for path, caption in videos)
-    if no_video:
-        films = f"<p class=sub>{html.escape(no_video)}</p>"
-    histograms = "".join(
-        image(plot_distribution([row[name] for row in rows], least), label) for name, label, least in _DISTRIBUTIONS
-    )
+    ]
+    score, *interval = numbers(summary["SNS"], *intervals["SNS"], digits=1)
     by_lcf = plot_score_over_lcf(episodes)
-    strata = f"<h2>Cells</h2>{_maps(cells)}<h3>From the worst to the best</h3>{_cell_table(cells)}" if several else ""
-    body = f"""<h1>{html.escape(content["agent"])} among {people} people</h1>
-<p class="sub">BSON suite <b>{html.escape(content["suite"])}</b>,
-{plural(len(cells), "cell") + ", " if several else ""}{plural(len(episodes), "episode")}; pedestrians:
-{html.escape(", ".join(models))}; means with bootstrap 95% intervals.</p>
-<div class="top"><div class="head"><small>Socially-aware navigation score</small><b>{summary["SNS"]:.1f}</b>
-<small>of 100 &nbsp; 95% interval {low:.1f} to {high:.1f}</small></div><div class="cards">{cards}</div></div>
-<p class="sub">SNS = mean of RC &middot; 0.95<sup>Coll</sup> &middot; (50 PE + 50 SP) over the episodes; an RC below 0 counts without the discount.</p>
-{_fault_table(content["faults"]) if content.get("faults") else ""}
-{strata}{_grades_table(cells) if several else ""}
-{_metric_tables(content)}
-<h2>Films</h2><div class="films">{films or '<p class="sub">None were asked for.</p>'}</div>
-<h2>Ways, from the worst episode to the best</h2>
-<p class="sub">Robot black, from the dot to the star; people coloured by LCF, a disc where they ended.</p>
-{_ways(episodes, rows, several)}
-<h2>Distributions over episodes</h2><p class="sub">Red line: mean.</p><div class="histograms">{histograms}</div>
-{f'<h2>Whom the robot met</h2><div class="wide">{image(by_lcf, "One dot an episode.")}</div>' if by_lcf else ""}
-<h2>Episodes</h2>{_episode_table(sorted(rows, key=lambda row: row["SNS"]), several)}
-{_settings(content, cells)}"""
-    return page(f"{content['agent']} on {content['suite']}", body, heatmap.STYLE)
+    of = "of the first cell" if several else "of the episodes"
+    documents = {f"Configuration {of}": content["config"], "Versions": content["versions"]}
+    strata = (
+        {"axes": list(cells[0]["grades"]), "maps": _maps(cells), "ranked": _ranked(cells), "grades": _grades(cells)}
+        if several
+        else {}
+    )
+    return render(
+        "report.html",
+        title=f"{content['agent']} on {content['suite']}",
+        agent=content["agent"],
+        people=_amount([episode.people.shape[1] for episode in episodes]),
+        suite=content["suite"],
+        several=several,
+        cells=cells,
+        count=len(episodes),
+        models=list({str(cell["config"]["pedestrian_model"]): None for cell in cells or [content]}),
+        score=score,
+        interval=interval,
+        cards=cards,
+        faults=content.get("faults", []),
+        **strata,
+        groups=_metric_groups(content),
+        metrics=[_metric_row(content, metric) for metric in METRICS],
+        films=[video(path, caption) for path, caption in videos],
+        no_video=no_video,
+        ways=_ways(episodes, rows, several),
+        histograms=[
+            image(plot_distribution([row[name] for row in rows], least), label) for name, label, least in _DISTRIBUTIONS
+        ],
+        by_lcf=image(by_lcf, "One dot an episode.") if by_lcf else "",
+        headings=[label for _, label, *_ in _SHOWN],
+        episodes=[row | {"figures": _figures(row)} for row in sorted(rows, key=lambda row: row["SNS"])],
+        digest=content.get("suite_digest"),
+        changed=", ".join(f"{key} = {value}" for key, value in content.get("overrides", {}).items()),
+        command=content.get("command"),
+        documents={heading: json.dumps(value, indent=1) for heading, value in documents.items()},
+    )

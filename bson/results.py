@@ -1,14 +1,20 @@
-"""results.json as it is read back: bounded, checked against one schema, and consistent in itself."""
+"""results.json: as Python has it (Results), and as it is read back: bounded, checked against one schema, and consistent
+in itself. Neither JAX nor MuJoCo is loaded for it."""
 
 import collections
+import dataclasses
+import functools
+import math
+import pathlib
 import unicodedata
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
 from bson.metrics import METRICS
 from macid.documents import convert, parse, read_bytes, shown
-from macid.files import UsageError
+from macid.files import UsageError, write_json
 
 MOST_BYTES = 1 << 28  # an episode has some 1.5 kB, with --paired 3 kB
 MOST_EPISODES, MOST_CELLS = 100_000, 10_000
@@ -47,7 +53,7 @@ _Episode = msgspec.defstruct(
 _WHAT = "Name folders of bson evaluate (--out), or their results.json."
 
 
-class Results(msgspec.Struct):
+class Content(msgspec.Struct):
     """What is read of results.json; what else there is was noted for people."""
 
     agent: _Name
@@ -66,6 +72,92 @@ class Results(msgspec.Struct):
     frozen_seeds: bool = True
 
 
+@dataclasses.dataclass(frozen=True)
+class Results:
+    """What an evaluation gave. E episodes were scored, in the order of cells and seeds.
+
+    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was not saved.
+    written: the files that the evaluation has written, the films last.
+    """
+
+    content: dict[str, Any] = dataclasses.field(repr=False)
+    source: str = ""
+    written: tuple[pathlib.Path, ...] = ()
+
+    @classmethod
+    def load(cls, source: str | pathlib.Path) -> "Results":
+        """The Results in `source`, a folder that `bson evaluate` wrote, or its results.json. Raises UsageError."""
+        path = pathlib.Path(source)
+        return cls(read_results(path / "results.json" if path.is_dir() else path), str(source))
+
+    def save(self, path: str | pathlib.Path) -> None:
+        """Writes the file `path`, or results.json in the folder `path`, all or nothing. Raises UsageError."""
+        path = pathlib.Path(path)
+        write_json(path / "results.json" if path.is_dir() else path, self.content)
+
+    @property
+    def agent(self) -> str:
+        """The agent's name."""
+        return self.content["agent"]
+
+    @property
+    def suite(self) -> str:
+        """The suite's name."""
+        return self.content["suite"]
+
+    @property
+    def summary(self) -> dict[str, float]:
+        """{metric: mean over the episodes in which it is finite}."""
+        return self.content["summary"]
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """{metric: (low, high), the mean's bootstrap 95% interval}."""
+        return {name: (low, high) for name, (low, high) in self.content["intervals"].items()}
+
+    @property
+    def cells(self) -> list[str]:
+        """The cells' names, in order."""
+        return [cell["name"] for cell in self.content["cells"]]
+
+    @property
+    def configs(self) -> dict[str, dict[str, Any]]:
+        """{cell: its configuration}."""
+        return {cell["name"]: cell["config"] for cell in self.content["cells"]}
+
+    @property
+    def rows(self) -> dict[tuple[str, int], dict[str, Any]]:
+        """{(cell, seed): the episode's metrics, as JSON has them: None for what is not finite}."""
+        return {(row["cell"], row["seed"]): row for row in self.content["episodes"]}
+
+    @functools.cached_property
+    def cell(self) -> np.ndarray:
+        """(E,) the cell's name of each episode."""
+        return np.array([row["cell"] for row in self.content["episodes"]], dtype=str)
+
+    @functools.cached_property
+    def seed(self) -> np.ndarray:
+        """(E,) int64, the seed of each episode."""
+        return np.array([row["seed"] for row in self.content["episodes"]], dtype=np.int64)
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, np.ndarray]:
+        """{metric: (E,) float64, its value in each episode}, in the units of bson.metrics.METRICS; infinity where there
+        is no such thing, as a distance to people where there are none. Without those that an older file lacks."""
+        rows = self.content["episodes"]
+        names = [metric.name for metric in METRICS if all(metric.name in row for row in rows)]
+        return {name: np.array([_value(row[name]) for row in rows], dtype=float) for name in names}
+
+    def by_cell(self, metric: str) -> dict[str, np.ndarray]:
+        """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it
+        hasn't."""
+        return {name: self.metrics[metric][self.cell == name] for name in self.cells}
+
+
+def _value(number):
+    return math.inf if number is None else number
+
+
 def read_results(path):
     """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
     try:
@@ -77,11 +169,11 @@ def read_results(path):
     if missing := missing or ["cell" for row in rows if isinstance(row, dict) and "cell" not in row]:
         raise UsageError(f"'{path}' has no '{missing[0]}': it isn't of this version's bson evaluate. {_WHAT}")
     _check_form(content, f"results '{path}'")
-    _check_sense(convert(content, Results, f"results '{path}'"), f"results '{path}'")
+    _check_sense(convert(content, Content, f"results '{path}'"), f"results '{path}'")
     return content
 
 
-_NEEDED = [field.name for field in msgspec.structs.fields(Results) if field.required]
+_NEEDED = [field.name for field in msgspec.structs.fields(Content) if field.required]
 
 
 def _check_form(content, name):
@@ -104,7 +196,7 @@ def _check_form(content, name):
 
 
 def _check_sense(found, name):
-    """Raises UsageError where what `found` (Results) says in one place contradicts another."""
+    """Raises UsageError where what `found` (Content) says in one place contradicts another."""
     cells, axes = [cell.name for cell in found.cells], list(found.cells[0].grades)
     if twice := _twice(cells):
         raise UsageError(f"{name}, key 'cells': {shown(twice[0])} stands twice.")

@@ -10,8 +10,8 @@ import sys
 
 import numpy as np
 
+from bson.episodes.record import Episode
 from bson.evaluate import versions
-from bson.metrics import Episode
 from bson.tracks import make_track, sensor_settings
 from macid import assets
 from macid.documents import parse, read_bytes
@@ -57,7 +57,7 @@ def _agent_files(name):
 def basis(agent, track, cells, paired):
     """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
 
-    agent: its name; track: what `make_track` is given, track and sensor.
+    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and sensor.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
     policies = [load_policy(name) for name in sorted(models - set(MODELS))]

@@ -40,13 +40,13 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import number, read_bytes, read_document, shown, shown_path
+from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
 MOUNTS = ("lidar", "lidar3d", "camera", "imu")  # that every robot has
-MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.world) [m/s]
+MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.simulation.world) [m/s]
 MAX_RADIUS = 0.8  # so that a robot begins clear of obstacles (bson.task) [m]
 _TYRE = {"friction": [0.8, 0.005, 0.0001], "solref": [0.15, 0.3], "solimp": [0.7, 0.7, 0.001, 0.5, 2.0]}
 _HULL_CONTACT = (0, BIT_SOLID | BIT_FLOOR)  # contype, conaffinity
@@ -69,6 +69,9 @@ _MASS = (0.1, 1000.0)  # of a robot [kg]
 _GYRATION = (0.0005, 2.0)  # radius of gyration of a body about any axis [m]
 _SIZE = (0.001, 2.0)  # radius of what touches the floor [m]
 _MODEL_BYTES = 1 << 24
+_MOST_ASSET = 1 << 28  # of a mesh or texture of a model [bytes]
+_MOST_INCLUDES = 16  # in one another
+_ASSET_FOLDERS = ("assetdir", "meshdir", "texturedir")  # of an MJCF's <compiler>
 _MOST_COPIES = 4096  # of an element of a model, or sides of a texture [pixels]
 
 
@@ -488,24 +491,34 @@ def _load(name, path, changed, _model_changed):
         digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
     try:
-        _refuse_odd_models(content)
+        _refuse_odd_models(content, model.parent)
         return dataclasses.replace(robot, forwards=_forwards(robot))
     except (ValueError, RecursionError) as error:
         problem = " ".join(str(error).split()).encode("ascii", "backslashreplace").decode()[:600]
         raise UsageError(f"Robot {shown_path(name)}: {problem}") from None
 
 
-def _refuse_odd_models(content):
-    """Raises ValueError for a model (bytes) that asks for what MuJoCo has no reader or no room for."""
+def _refuse_odd_models(content, folder, depth=0):
+    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no reader
+    or no room for."""
+    if depth > _MOST_INCLUDES:
+        raise ValueError(f"its <include>s are nested more than {_MOST_INCLUDES} deep.")
     if b"<xacro:" in content:
         raise ValueError(f"the model has xacro's macros, which MuJoCo can't read.{_EXPAND}")
     try:
         tree = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError):  # MuJoCo tells it better
         return
+    places = {"", *(value for each in tree.iter("compiler") for key in _ASSET_FOLDERS if (value := each.get(key)))}
     copies = 1.0
     for element in tree.iter():
         mesh = element.get("filename") or element.get("file") or ""
+        named = {mesh, mesh.replace("\\", "/").rpartition("/")[2]} - {""}  # a URDF's names lose their folders
+        for file in [folder / place / name for place in sorted(places) for name in sorted(named)]:
+            if element.tag == "include" and file.exists():
+                _refuse_odd_models(read_bytes(file, "included model", _MODEL_BYTES), folder, depth + 1)
+            elif file.exists():
+                check_readable(file, f"<{element.tag}>", _MOST_ASSET)
         if mesh.lower().endswith(".dae"):
             raise ValueError(
                 f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and "
@@ -584,12 +597,32 @@ def _refuse_odd_bodies(model):
             raise ValueError(f"its {what} must be numbers of at most 1e6, not {most:.3g}.")
 
 
-JACKAL = load_robot("jackal")
+def __getattr__(name):
+    """JACKAL, the Robot that others are compared with, once somebody asks: to read a robot is to compile it."""
+    if name != "JACKAL":
+        raise AttributeError(f"module 'bson.robot' has no attribute '{name}'")
+    return load_robot("jackal")
 
 
-def wheel_speeds(command, robot=JACKAL):
-    """Speeds (..., W) [rad/s] of the Robot's hinges, ordered as its `wheels`, for `command` (..., 2): (v [m/s], w
-    [rad/s]), clipped."""
+@functools.lru_cache(64)
+def site_pose(robot, site):
+    """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
+    spec = base_spec(20.0)
+    add_robot(spec, robot)
+    model = spec.compile()
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"robot/{site}")
+    if number < 0:
+        return None
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    mujoco.mj_kinematics(model, data)
+    return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
+
+
+def wheel_speeds(command, robot=None):
+    """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
+    (..., 2): (v [m/s], w [rad/s]), clipped."""
+    robot = robot or load_robot("jackal")
     config = robot.config
     limit = np.array([config.max_speed, config.max_yaw_rate])
     speed, yaw_rate = np.moveaxis(np.clip(command, -limit, limit), -1, 0)
@@ -599,10 +632,16 @@ def wheel_speeds(command, robot=JACKAL):
     return np.stack(sides, axis=-1) / config.rolling_radius * robot.forwards
 
 
-def wheel_actuators(model, robot=JACKAL, name="robot"):
-    """Which entries (W,) of the MjModel's ctrl are the Robot's wheels, ordered as its `wheels`."""
+def wheel_actuators(model, robot=None, name="robot"):
+    """Which entries (W,) of the MjModel's ctrl are the Robot's (the Jackal's) wheels, ordered as its `wheels`."""
+    robot = robot or load_robot("jackal")
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
+
+
+def wheel_dofs(model, robot, name="robot"):
+    """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
+    return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 
 
 def planar_pose(qpos):
@@ -624,15 +663,17 @@ def planar_velocity(qpos, qvel):
     return np.stack([ahead, qvel[..., 5]], axis=-1)
 
 
-def spawn_qpos(x, y, yaw, config=JACKAL.config):
-    """`qpos` (..., 7) of a robot that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
+def spawn_qpos(x, y, yaw, config=None):
+    """`qpos` (..., 7) of a robot (the Jackal) that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
+    config = config or load_robot("jackal").config
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
     place = np.stack([x, y, np.full(yaw.shape, config.spawn_height)], axis=-1)
     return np.concatenate([place, geometry.yaw_quaternion(np.asarray(yaw, dtype=float))], axis=-1)
 
 
-def footprint(pose, config=JACKAL.config):
-    """Box rows (..., 5), as in `macid.geometry`, that a robot at `pose` (..., 3) covers."""
+def footprint(pose, config=None):
+    """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
+    config = config or load_robot("jackal").config
     pose = np.asarray(pose)
     half_x, half_y = np.full(pose.shape[:-1], config.half_length), np.full(pose.shape[:-1], config.half_width)
     return np.stack([pose[..., 0], pose[..., 1], half_x, half_y, pose[..., 2]], axis=-1)

@@ -91,10 +91,16 @@ class Sensor:
         """Adds to the scene `spec` what the sensor needs there."""
         raise NotImplementedError
 
+    def export(self, spec, robot="robot"):
+        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for programs
+        without this project. Returns what they must know, as JSON has it; nothing where they can't have its reading."""
+        return {}
+
     def bind(self, world, robot="robot"):
         """The reading function of a World, called once, when that is made: read(world, ids) -> (n, *space.shape).
 
-        Readings are exact, of the last `batch.forward`; noise comes after. Raises what keeps the sensor from working.
+        Readings are exact, of the last `forward` of the world's engine (bson.simulation.engines.base); noise comes
+        after. Raises what keeps the sensor from working.
         """
         raise NotImplementedError
 
@@ -144,13 +150,18 @@ class Mounted(Sensor):
         for name in ("yaw", "pitch"):
             self._check(name, _number(-math.pi, math.pi), "an angle in [-pi, pi] rad")
 
+    @property
+    def turn(self):
+        """The rotation (3, 3) of the sensor's frame in that of its place: `yaw` and `pitch`."""
+        sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
+        return np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
+
     def _place(self, spec, robot):
         """The body that carries the sensor, the place there (3,) [m], and the rotation (3, 3) of its frame."""
         site = spec.site(f"{robot}/{self.site}")
         if self.position is None and site is None:
             raise ValueError(f"The robot has no site '{self.site}' for its '{self.key}': give the sensor a position.")
-        sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
-        frame = np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
+        frame = self.turn
         if self.position is None:
             turned = np.empty(9)
             mujoco.mju_quat2Mat(turned, site.quat)
@@ -223,25 +234,34 @@ class Lidar(Ranging):
         body, place, frame = self._place(spec, robot)
         body.add_site(name=f"{robot}/{self.key}_beams", pos=place, quat=_quaternion(frame), group=4, size=[0.002] * 3)
 
+    def export(self, spec, robot="robot"):
+        """A site and a rangefinder for each beam, in the reading's order; they don't see the body that carries them."""
+        mounted = spec.site(f"{robot}/{self.key}_beams")
+        frame, quaternion = np.empty(9), np.empty(4)
+        mujoco.mju_quat2Mat(frame, mounted.quat)
+        directions = self.directions
+        for index in np.ndindex(directions.shape[:-1]):
+            name = "/".join(map(str, (robot, self.key, *index)))
+            mujoco.mju_quatZ2Vec(quaternion, frame.reshape(3, 3) @ directions[index])
+            mounted.parent.add_site(name=name, pos=mounted.pos, quat=quaternion, group=4, size=[0.002] * 3)
+            spec.add_sensor(
+                name=name,
+                type=mujoco.mjtSensor.mjSENS_RANGEFINDER,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname=name,
+                intprm=[1 << int(mujoco.mjtRayDataField.mjRAYDATA_DIST), 0, 0],
+                cutoff=self.range_max,
+                noise=self.noise * self.sigma,
+            )
+        first = "/".join((robot, self.key, *("0" for _ in directions.shape[:-1])))
+        bounds = {"range_min": self.range_min, "range_max": self.range_max, "no_hit": -1.0}
+        return {"read_as": "beams", "first": first, "sensors": directions[..., 0].size, **bounds}
+
     def bind(self, world, robot="robot"):
-        """The reading function: rays through MuJoCo's batch, which ignore the body that carries the sensor."""
-        site = world.model.site(f"{robot}/{self.key}_beams").id
-        body = world.model.site_bodyid[site]
-        places, frames = world.batch.bind("site_xpos"), world.batch.bind("site_xmat")
-        shape = self.directions.shape[:-1]
-        ahead, left, up = np.ascontiguousarray(self.directions.reshape(-1, 3).T)
-
-        def read(world, ids):
-            frame = frames[ids, site].reshape(-1, 3, 3, 1)
-            rays = np.empty((len(ids), ahead.size, 3))
-            for axis in range(3):  # a matrix product may round otherwise for one world than for many
-                x, y, z = frame[:, axis].swapaxes(0, 1)
-                rays[..., axis] = ahead * x + left * y + up * z
-            distance, _ = world.batch.ray(places[ids, site][:, None], rays, bodyexclude=body, ids=ids)
-            distance[distance < 0] = self.range_max
-            return self._within(distance).reshape(-1, *shape)
-
-        return read
+        """The reading function: the engine's rays, which ignore the body that carries the sensor."""
+        site, shape = world.model.site(f"{robot}/{self.key}_beams").id, self.directions.shape[:-1]
+        rays = world.engine.add_rays(site, self.directions.reshape(-1, 3))
+        return lambda world, ids: self._within(world.engine.rays(ids, rays)).reshape(-1, *shape)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -369,13 +389,17 @@ class Camera(Mounted):
             focal_length=[1.0, 1.0],
         )
 
+    def export(self, spec, robot="robot"):
+        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without shadows."""
+        return {"read_as": "picture", "camera": f"{robot}/{self.key}", "width": self.width, "height": self.height}
+
     def _bind(self, world, robot):
-        """look(world, ids) -> RGB, depth: see `Renderer.look`."""
+        """look(world, ids) -> RGB, depth: see `Engine.pictures`."""
         try:
-            view = world.renderer.view(f"{robot}/{self.key}")
+            camera = world.engine.add_camera(f"{robot}/{self.key}")
         except Unavailable as error:
             raise Unavailable(f"The camera '{self.key}' needs pictures; LIDARs do without. {error}") from None
-        return lambda world, ids: world.renderer.look(world, view, ids)
+        return lambda world, ids: world.engine.pictures(ids, camera)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -426,6 +450,11 @@ class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
     sigma: float = 0.08 / (424 * 0.05)
     _sigma_unit = "1/m"
 
+    def export(self, spec, robot="robot"):
+        """As Camera.export, with the range that a depth is clipped to [m]."""
+        bounds = {"range_min": self.range_min, "range_max": self.range_max}
+        return {**super().export(spec, robot), "read_as": "depth", **bounds}
+
     def bind(self, world, robot="robot"):
         """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
         look = self._bind(world, robot)
@@ -471,12 +500,20 @@ class Imu(Sensor):
     def mount(self, spec, robot="robot"):
         """Nothing to add: the robot's model carries both sensors."""
 
+    def export(self, spec, robot="robot"):
+        """The robot's model has both sensors; here they saturate, too."""
+        kinds = {"accelerometer": (self.max_force, self.sigma_force), "gyro": (self.max_rate, self.sigma_rate)}
+        for kind, (most, sigma) in kinds.items():
+            sensor = spec.sensor(f"{robot}/imu_{kind}")
+            sensor.cutoff, sensor.noise = most, self.noise * sigma
+        return {"read_as": "imu", **{kind: f"{robot}/imu_{kind}" for kind in kinds}}
+
     def bind(self, world, robot="robot"):
         """The reading function."""
         names = (f"{robot}/imu_accelerometer", f"{robot}/imu_gyro")
         columns = np.concatenate([world.model.sensor(name).adr[0] + np.arange(3) for name in names])
-        sensordata, limit = world.batch.bind("sensordata"), self.limit
-        return lambda world, ids: np.clip(sensordata[ids][:, columns], -limit, limit).astype(np.float32)
+        limit = self.limit
+        return lambda world, ids: np.clip(world.engine.sensordata[ids][:, columns], -limit, limit).astype(np.float32)
 
     def noisy(self, reading, rng):
         """`reading` with noise on each axis."""

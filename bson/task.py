@@ -6,9 +6,10 @@ import typing
 
 import numpy as np
 
-from bson.robot import JACKAL, RobotConfig, robot_config
+from bson.robot import RobotConfig, robot_config
 from macid import layout as layouts
-from macid.documents import check_values, is_number, shown
+from macid import pedestrians
+from macid.documents import is_number, shown
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
@@ -44,7 +45,7 @@ class TaskConfig:
     horizon: int = 1000  # control steps until truncation
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
     reward: RewardWeights = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
-    robot: RobotConfig | str = JACKAL.config  # a name or file (bson.robot), or a dict of numbers changed
+    robot: RobotConfig | str = "jackal"  # a name or file (bson.robot), or a dict of numbers changed
 
     def __post_init__(self):
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
@@ -98,11 +99,9 @@ class TaskConfig:
         if self.lcf_each is not None:
             object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
         object.__setattr__(self, "reward", _weights(self.reward))
-        if isinstance(self.robot, dict):
-            check_values(self.robot, _tell_robot)
         object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
-            controller(name, self.decision_period)
+            check_model(name)
 
     @property
     def model_shares(self):
@@ -156,22 +155,20 @@ class TaskConfig:
         return dataclasses.replace(self, **changes)
 
 
-def _tell_robot(key, problem):
-    raise ValueError(f"robot{f', key {shown(key)}' if key else ''}: {problem}.")
+def check_model(name):
+    """Raises ValueError unless `name` is a pedestrian model; a shipped one is looked up once."""
+    return pedestrians.check_model(name) if name.endswith(".npz") else _check_shipped(name)
+
+
+_check_shipped = functools.lru_cache(64)(pedestrians.check_model)
 
 
 def controller(name, period):
     """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
-    from macid.pedestrians import make_controller
-
-    return make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
+    return pedestrians.make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
 
 
-@functools.lru_cache(64)
-def _shipped_controller(name, period):
-    from macid.pedestrians import make_controller
-
-    return make_controller(name, period)
+_shipped_controller = functools.lru_cache(64)(pedestrians.make_controller)
 
 
 def _is_whole(value):

@@ -8,7 +8,7 @@ import numpy as np
 
 from bson import sensors as shipped
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
-from bson.world import MAP_RESOLUTION
+from bson.simulation.data import MAP_RESOLUTION
 from macid import geometry
 
 

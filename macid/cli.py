@@ -2,10 +2,12 @@
 
 import argparse
 import pathlib
+import shlex
 import sys
 
 from macid import engines, start
 from macid.command import (
+    MOST_PEOPLE,
     MOST_SEED,
     MOST_SEEDS,
     MOST_STEPS,
@@ -13,14 +15,13 @@ from macid.command import (
     MOST_WORLDS,
     PERIOD,
     Parser,
+    add_executor,
     check_words,
     name,
 )
 from macid.files import (
     HelpFormatter,
-    UsageError,
     check_file,
-    check_folder,
     new_folder,
     run_command,
     start_mujoco,
@@ -50,96 +51,89 @@ def _chosen(args):
     return engine, f"engine {engine}: {why}"
 
 
-def _tell(note):
-    if note:
-        print(note, file=sys.stderr, flush=True)
+def _after(note, show):
+    """`show`, before whose first line `note` is told on stderr: what is refused before work begins is one line."""
+    notes = [note] if note else []
+
+    def tell(line):
+        while notes:
+            _say(notes.pop())
+        show(line)
+
+    return tell
 
 
 def _level(text):
     return int(text) if text.isdecimal() else text
 
 
-def _evaluate(args):
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import evaluate_level, format_table, lcf_bins, level_name, table_lcf, usual_period
-    from macid.layout import load_level
+def _say(line):
+    print(line, file=sys.stderr, flush=True)
 
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    for level in args.levels:
-        load_level(level)
-    if args.bins and args.lcf:
-        raise UsageError("--bins has LCFs of its own: leave --lcf out.")
-    if args.bins:
-        ranges = lcf_bins(args.pedestrian)
-    else:
-        ranges = [tuple(args.lcf or table_lcf(args.pedestrian))]
-    configs = [CrowdConfig(period=period, lcf=lcf) for lcf in ranges]
-    out = check_file(args.out, "JSON file")
+
+def _evaluate(args):
+    from macid import benchmark
+    from macid.evaluate import format_table
+
     engine, note = _chosen(args)
-    _tell(note)
-    rows = []
-    for level in args.levels:
-        print(f"{args.pedestrian} on {level_name(level)} ...", file=sys.stderr, flush=True)
-        rows += [
-            evaluate_level(args.pedestrian, level, args.episodes, args.seed, config, engine) for config in configs
-        ]
-    with new_folder(out.parent):
-        write_json(out, rows)
+    rows = benchmark.evaluate(
+        args.pedestrian,
+        args.levels,
+        episodes=args.episodes,
+        seed=args.seed,
+        period=args.period,
+        lcf=args.lcf,
+        bins=args.bins,
+        engine=engine,
+        out=args.out,
+        show=_after(note, _say),
+    )
     print(format_table(rows))
-    print(f"Written to {out}")
+    print(f"Written to {pathlib.Path(args.out)}")
     return 0
 
 
 def _watch(args):
-    from tqdm import tqdm
+    from macid import benchmark
 
-    from macid import drawing, watch
-    from macid.crowd import CrowdConfig
-    from macid.evaluate import level_name, table_lcf, usual_period
-    from macid.layout import load_level
-
-    period = usual_period(args.pedestrian) if args.period is None else args.period
-    people = load_level(args.level).pedestrians
-    path = pathlib.Path(args.out)
-    if path.suffix not in (".webm", ".png"):
-        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
-    check_file(path)
-    if not 0 < args.seconds <= 600:
-        raise UsageError(f"--seconds must be above 0 and at most 600, not {args.seconds:g}.")
-    if args.follow is not None and not 0 <= args.follow < people:
-        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {args.follow}.")
-    if not 0.25 <= args.scale <= 2:
-        raise UsageError(f"--scale must be 0.25 to 2, not {args.scale:g}.")
-    if args.at is not None and path.suffix != ".png":
-        raise UsageError("--at is for a picture: let --out end in .png.")
-    if args.at is not None and not 0 <= args.at <= args.seconds:
-        raise UsageError(f"--at must be 0 to {args.seconds:g}, the episode's length in seconds, not {args.at:g}.")
-    lcf = tuple(args.lcf or table_lcf(args.pedestrian))
-    config = CrowdConfig(period=period, duration=args.seconds, lcf=lcf)
-    if problem := drawing.gl_problem():
-        raise UsageError(f"No pictures here: {problem}")
-    print(f"{args.pedestrian} on {level_name(args.level)} ...", file=sys.stderr, flush=True)
-    start.cleaning_up()
-    recording = watch.record(args.pedestrian, args.level, config, args.seed)
-    with new_folder(path.parent):
-        if path.suffix == ".png":
-            watch.still(recording, path, args.at, args.follow, args.scale)
-        else:
-            with tqdm(unit="frame", desc="filming", file=sys.stderr) as bar:
-
-                def progress(done, total):
-                    bar.total = total
-                    bar.update()
-
-                watch.film(recording, path, args.speed, args.follow, args.scale, progress)
+    path = benchmark.watch(
+        args.pedestrian,
+        args.out,
+        level=args.level,
+        lcf=args.lcf,
+        seed=args.seed,
+        seconds=args.seconds,
+        period=args.period,
+        speed=args.speed,
+        follow=args.follow,
+        at=args.at,
+        scale=args.scale,
+        show=_say,
+    )
     print(f"Written: {path}")
     return 0
 
 
-def _train(args):
-    from dataclasses import replace
+def _export(args):
+    from macid.crowd import CrowdConfig
+    from macid.evaluate import level_seed
+    from macid.export import export
+    from macid.layout import load_level
+    from macid.maps import load_map
 
-    from macid.learning.train import preset, train
+    if args.map and args.level is not None:
+        raise UsageError("--map and --level both say where: give one of them.")
+    level = 2 if args.level is None else args.level
+    layout, seed = (load_map(args.map), (args.seed,)) if args.map else (load_level(level), (args.seed, *level_seed(level)))
+    config = CrowdConfig(number=args.people or layout.pedestrians or CrowdConfig.number, period=args.period, lcf=tuple(args.lcf))
+    start.cleaning_up()
+    export(layout, args.out, config, seed, f"macid {shlex.join(args.argv)}")
+    print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
+    return 0
+
+
+def _train(args):
+    from macid import benchmark
 
     engine, note = _chosen(args)
     given = {
@@ -147,31 +141,28 @@ def _train(args):
         "rollout": args.rollout,
         "episode": args.episode,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
+        "batch": args.batch,
+        "epochs": args.epochs,
+        "learning_rate": args.learning_rate,
     }
-    config = preset(
-        args.preset,
-        method=args.method,
-        level=args.level,
+    folders = benchmark.train(
+        args.method,
+        args.out,
+        preset=args.preset,
         seed=args.seed,
+        seeds=args.seeds,
+        resume=args.resume,
+        tensorboard=args.tensorboard,
+        executor=args.executor,
+        ray_address=args.ray_address,
+        workers=args.workers,
+        show=_after(note, lambda line: print(line, flush=True)),
+        level=args.level,
         engine=engine,
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
-    learning = {"batch": args.batch, "epochs": args.epochs, "learning_rate": args.learning_rate}
-    learning = {name: value for name, value in learning.items() if value is not None}
-    if learning:
-        config = replace(config, ppo=replace(config.ppo, **learning))
-    out = check_folder(args.out)
-    notes = [note]
-
-    def show(line):
-        while notes:  # where training begins: what is refused before is one line
-            _tell(notes.pop())
-        print(line, flush=True)
-
-    train(config, out, args.seeds, resume=args.resume, show=show)
-    for seed in range(args.seed, args.seed + args.seeds):
-        folder = out / f"{config.name}-{seed}"
+    for folder in folders:
         print(f"Written: {folder / 'policy.npz'}, {folder / 'policy.json'}, {folder / 'curve.csv'}")
     return 0
 
@@ -185,14 +176,13 @@ def _bench(args):
     if args.out:
         check_file(args.out, "JSON file")
     engine, note = _chosen(args)
-    _tell(note)
     rows = bench.run(
         engine,
         args.levels,
         args.worlds,
         args.seconds,
         args.preset,
-        lambda line: print(line, flush=True),
+        _after(note, lambda line: print(line, flush=True)),
         rollout=args.rollout,
         only=args.only,
         profile=args.profile,
@@ -250,6 +240,20 @@ def parser():
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
+    export = commands.add_parser(
+        "export",
+        help="write one seed's crowd as MJCF, for MuJoCo, its viewer and MJX without this project",
+        formatter_class=HelpFormatter,
+    )
+    export.add_argument("--level", type=_level, default=None, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
+    export.add_argument("--map", type=name, default=None, help="instead of a level, a map's name (bson list) or file")
+    export.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's or the map's, else 50)")
+    export.number("--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it")
+    export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
+    export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
+    export.add_argument("--out", type=name, required=True, help="folder, new or empty")
+    export.set_defaults(run=_export)
+
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
     train.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
@@ -269,6 +273,8 @@ def parser():
     train.add_argument("--preset", default="fast", choices=_PRESETS, help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    add_executor(train)
+    train.add_argument("--tensorboard", action="store_true", help="also log the curves for TensorBoard")
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)
@@ -293,7 +299,8 @@ def main(argv=None):
     def command():
         check_words(argv)
         args = parser().parse_args(argv)
-        start_mujoco()
+        args.argv = argv
+        start_mujoco(draws=args.run is not _export)
         return args.run(args)
 
     return run_command("macid", command)

@@ -4,6 +4,7 @@ import argparse
 import math
 import re
 
+from macid.executors import EXECUTORS, MOST_WORKERS
 from macid.files import UsageError, one_line
 
 MOST_WORLDS = 65_536  # at once
@@ -85,3 +86,21 @@ def name(text):
     if not text or len(text) > _NAME:
         raise argparse.ArgumentTypeError(f"a name has 1 to {_NAME} characters, not {len(text):,}")
     return text
+
+
+def add_executor(command):
+    """Adds the flags of macid.executors.make_executor to a Parser."""
+    command.add_argument(
+        "--executor",
+        default="local",
+        choices=EXECUTORS,
+        help="where the work is done; ray: by workers on this machine's cores, or on a cluster's (extra `ray`)",
+    )
+    command.add_argument(
+        "--ray-address",
+        type=name,
+        default=None,
+        metavar="HOST:PORT",
+        help="of the Ray cluster of which this machine is; auto: as ray start noted it (default: this machine alone)",
+    )
+    command.number("--workers", int, 1, MOST_WORKERS, help="with --executor ray: how many at once (default: one a core)")

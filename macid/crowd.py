@@ -12,7 +12,7 @@ from macid.engines import make_engine
 from macid.engines.base import repeat
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
-from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, parking_place, physics_steps
+from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, parking_place, physics_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,6 @@ class CrowdConfig:
         return round(self.duration / self.period)
 
 
-STALLED = 0.1  # below this speed a person stands [m/s]
 
 
 class Episode(NamedTuple):

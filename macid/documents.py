@@ -56,20 +56,34 @@ def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
 def read_bytes(path, what, most=MOST_BYTES):
     """The content of the file `path`, a `what` ("map") that a user named. Raises UsageError: no regular file, unreadable, or
     of more than `most` bytes."""
+    path = check_readable(path, what, most)
+    try:
+        with path.open("rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise _unreadable(path, what, error) from None
+
+
+def check_readable(path, what, most=MOST_BYTES):
+    """The pathlib.Path of the file `path`, of a `what` that a user named. Raises UsageError as read_bytes does, and reads nothing."""
     path = pathlib.Path(path)
     try:
         if not path.exists():
             raise UsageError(f"There is no {what} file {shown_path(path)}.")
         if not path.is_file():
             raise UsageError(f"{shown_path(path)} is no regular file, so no {what}.")
-        if (size := path.stat().st_size) > most:
-            raise UsageError(f"{what} {shown_path(path)} has {size:,} bytes; at most {most:,} are read.")
-        with path.open("rb") as file:
-            return file.read(most)
+        size = path.stat().st_size
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         if isinstance(error, UsageError):
             raise
-        raise UsageError(f"Can't read the {what} {shown_path(path)}: {getattr(error, 'strerror', error)}.") from None
+        raise _unreadable(path, what, error) from None
+    if size > most:
+        raise UsageError(f"{what} {shown_path(path)} has {size:,} bytes; at most {most:,} are read.")
+    return path
+
+
+def _unreadable(path, what, error):
+    return UsageError(f"Can't read the {what} {shown_path(path)}: {getattr(error, 'strerror', error)}.")
 
 
 def _twice(keys):
@@ -156,9 +170,14 @@ def parse(path, what, content, ending=None):
     raise UsageError(f"{what} {shown_path(path)} is not {language}: {problem}")
 
 
-def check_values(document, tell):
+def check_values(document, tell, described=lambda key: ""):
     """Refuses what no field has: numbers that are not finite or beyond MOST_NUMBER, text that no encoding has, keys that are
-    no text. tell(key, problem): raises the error."""
+    no text. tell(key, problem): raises the error. described(key): what a number has to be there, or ""."""
+
+    def refuse_number(key, wanted, found):
+        said = described(key)
+        tell(key, f"it must be {said}, not {found}" if said else f"{wanted} is wanted, not {found}")
+
     waiting = [("", document)]
     while waiting:
         key, value = waiting.pop()
@@ -170,9 +189,9 @@ def check_values(document, tell):
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{index}]", each) for index, each in enumerate(value)]
         elif isinstance(value, float) and not (math.isfinite(value) and abs(value) <= MOST_NUMBER):
-            tell(key, f"a number from -{MOST_NUMBER:g} to {MOST_NUMBER:g} is wanted, not {value:g}")
+            refuse_number(key, f"a number from -{MOST_NUMBER:g} to {MOST_NUMBER:g}", f"{value:g}")
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-            tell(key, "a whole number of 64 bits is wanted, not one beyond")
+            refuse_number(key, "a whole number of 64 bits", "one beyond")
         elif isinstance(value, str) and not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
             tell(key, f"text is wanted, not half a character: {shown(value)}")
 
@@ -187,7 +206,13 @@ def convert(document, schema, name):
         where = f", key {shown(key)}" if key else ""
         raise UsageError(f"{name}{where}: {problem}.")
 
-    check_values(document, tell)
+    def described(key):
+        try:
+            return _description(_place(document, schema, f"$.{key}")[2])
+        except (LookupError, TypeError):  # a key that the schema doesn't have
+            return ""
+
+    check_values(document, tell, described)
     try:
         return msgspec.convert(document, schema, strict=True)
     except msgspec.ValidationError as error:

@@ -11,6 +11,7 @@ import pathlib
 import platform
 import re
 import secrets
+import shutil
 import stat
 import sys
 import tempfile
@@ -275,6 +276,48 @@ def lock_folder(path, files=(), alone=()):
                         for name in new:
                             (folder / name).unlink()
                 raise
+        finally:
+            os.close(handle)
+
+
+@contextlib.contextmanager
+def whole_folder(path):
+    """A folder to be filled in a `with`, that then becomes `path`, or goes where that fails: nobody sees half of it.
+
+    Raises UsageError where there are files in `path` already, or it can't be written.
+    """
+    folder = check_folder(path)
+    if folder.is_dir() and os.listdir(folder):
+        raise UsageError(f"There are files in {named(folder)} already. Name a new folder, or an empty one.")
+    target = pathlib.Path(os.path.realpath(folder))
+    with new_folder(target.parent):
+        for entry in os.listdir(target.parent):  # of killed runs
+            match = _LEFTOVER.fullmatch(entry)
+            if match and match["stem"] == _stem(target.name):
+                _remove_unlocked(target.parent / entry)
+        temporary = target.parent / f".{_stem(target.name)}.{secrets.token_hex(4)}"
+        os.mkdir(temporary)
+        handle = os.open(temporary, os.O_RDONLY)
+        try:
+            _lock(handle)
+            yield temporary
+            os.replace(temporary, target)
+        except UsageError:
+            raise
+        except OSError as error:
+            raise UsageError(f"Can't write {named(folder)}: {_reason(error)}. Name a new folder.") from None
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            os.close(handle)
+
+
+def _remove_unlocked(folder):
+    """Removes `folder`, if it is one and no process has it locked."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+        try:
+            if _lock(handle):
+                shutil.rmtree(folder)
         finally:
             os.close(handle)
 

@@ -60,6 +60,15 @@ def load_map(name):
         raise UsageError(f"Can't read the map {shown_path(name)}: {getattr(error, 'strerror', error)}.") from None
 
 
+def map_files(name):
+    """The files of a map that is given as a file: it and its image; none of one of `map_names()`. Raises UsageError."""
+    path = pathlib.Path(name)
+    if path.suffix not in _SUFFIXES:
+        return []
+    found = path.stat()
+    return [path] if path.suffix == ".toml" else [path, _image(path, _fields(path.resolve(), found.st_mtime_ns, found.st_size))]
+
+
 def _changed(path):
     """What changes with the content of the map `path` and of its image."""
     found = [path.stat()]

@@ -46,6 +46,39 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
     return occupied
 
 
+def grid_graph(occupied):
+    """The moves over a grid: `number` (rows, columns) of each free cell, -1 where `occupied` (rows, columns), and the sparse
+    graph (N, N) of moves to the eight neighbours, to and fro, without cutting of corners, with their lengths [cells].
+
+    The cells are numbered row by row.
+    """
+    rows, columns = np.nonzero(~occupied)
+    number = np.full(np.add(occupied.shape, 2), -1, np.int32)
+    number[rows + 1, columns + 1] = np.arange(len(rows))
+    neighbours = np.empty((len(rows), 8), np.int32)
+    for place, (di, dj) in enumerate(_MOVES):
+        neighbours[:, place] = number[rows + 1 + di, columns + 1 + dj]
+        if di and dj:
+            cut = (number[rows + 1 + di, columns + 1] < 0) | (number[rows + 1, columns + 1 + dj] < 0)
+            neighbours[cut, place] = -1
+    joined = neighbours >= 0
+    ends = np.concatenate([[0], np.cumsum(joined.sum(axis=-1))]).astype(np.int32)
+    lengths = np.broadcast_to(np.hypot(*_MOVES.T), joined.shape)[joined]
+    return number[1:-1, 1:-1], sparse.csr_matrix((lengths, neighbours[joined], ends), shape=(len(rows),) * 2)
+
+
+def shortest(graph, source, target, reach):
+    """Lengths (N,) of the shortest ways from `source` over a sparse `graph` (N, N), and the last node before each, (N,).
+
+    Only ways up to the length `reach` are looked for where `target` is among them; others are infinite.
+    """
+    for limit in (reach, np.inf):
+        found = csgraph.dijkstra(graph, indices=source, return_predecessors=True, limit=limit)
+        if np.isfinite(found[0][target]):
+            break
+    return found
+
+
 def _spread(counts):
     """Of things of which N owners have `counts` (N,): whose each thing is, and its number among its owner's, from 0."""
     owner = np.repeat(np.arange(len(counts)), counts)
@@ -164,20 +197,8 @@ class Router:
         if occupied.all():
             raise NoFreeSpace(f"Map '{self.layout.name}' has no free cell.")
         rows, columns = np.nonzero(~occupied)
-        number = np.full(np.add(occupied.shape, 2), -1, np.int32)
-        number[rows + 1, columns + 1] = np.arange(len(rows))
-        neighbours = np.empty((len(rows), 8), np.int32)
-        for place, (di, dj) in enumerate(_MOVES):
-            neighbours[:, place] = number[rows + 1 + di, columns + 1 + dj]
-            if di and dj:  # no cutting of corners
-                cut = (number[rows + 1 + di, columns + 1] < 0) | (number[rows + 1, columns + 1 + dj] < 0)
-                neighbours[cut, place] = -1
-        joined = neighbours >= 0
-        ends = np.concatenate([[0], np.cumsum(joined.sum(axis=-1))]).astype(np.int32)
-        lengths = np.broadcast_to(RESOLUTION * np.hypot(*_MOVES.T), joined.shape)[joined]
-        graph = sparse.csr_matrix((lengths, neighbours[joined], ends), shape=(len(rows),) * 2)
         centres = (np.stack([columns, rows], axis=-1) + 0.5) * RESOLUTION - self.layout.size / 2
-        return centres, graph
+        return centres, grid_graph(occupied)[1] * RESOLUTION
 
     @functools.cached_property
     def _tree(self):
@@ -224,10 +245,8 @@ class Router:
     def _cells(self, start, goal, first, last):
         """The centres of the cells on a shortest way from cell `first` to cell `last`, then `goal`: (W, 2) [m]."""
         centres, graph = self._grid
-        for reach in (_DETOUR * np.hypot(*(goal - start)) + _DETOUR_LENGTH, np.inf):  # mostly the near part will do
-            lengths, before = csgraph.dijkstra(graph, indices=last, return_predecessors=True, limit=reach)
-            if np.isfinite(lengths[first]):
-                break
+        reach = _DETOUR * np.hypot(*(goal - start)) + _DETOUR_LENGTH  # mostly the near part will do
+        lengths, before = shortest(graph, last, first, reach)
         if not np.isfinite(lengths[first]):
             raise NoFreeSpace(
                 f"Map '{self.layout.name}': no way from {np.round(start, 2).tolist()} to {np.round(goal, 2).tolist()}."

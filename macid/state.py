@@ -13,6 +13,7 @@ MAX_LCF = 2.0  # local coordination factors lie within it, on both sides of 0
 CONTACT_GAP = 0.01  # a surface gap up to this counts as a collision [m] (Unity's contact offset)
 GOAL_RADIUS = 0.5  # [m]
 PHYSICS_STEP = 0.02  # [s]
+STALLED = 0.1  # below this speed a person, or a robot, stands [m/s]
 
 
 def physics_steps(period):

@@ -2,10 +2,12 @@
 
     tools/reproduce_table3.py --out table3
 
-Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among one
-kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of everybody).
-Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was. Figures are
-means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a training.
+Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among
+one kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of
+everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was.
+Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a
+training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all
+else is as without.
 """
 
 import argparse
@@ -19,14 +21,16 @@ import numpy as np
 
 from bson.agents import load_agent
 from bson.evaluate import run_episodes
-from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_with_bar
+from bson.evaluation.executors import Play, play_each
+from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_apart, train_with_bar
 from bson.metrics import measure, summarise
 from bson.resume import basis
 from bson.suites import load_suite
 from bson.tracks import make_track
 from macid import command
-from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, check_words
+from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
 from macid.evaluate import lcf_bins
+from macid.executors import make_executor
 from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
 
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
@@ -46,8 +50,8 @@ DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
 
 def wanted(algo, crowd, seed, steps, runs):
-    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper" behind
-    it for that preset."""
+    """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper"
+    behind it for that preset."""
     algo, _, preset = algo.partition("-")
     task = {} if crowd == "macid" else {"pedestrian_model": crowd}
     config = TrainConfig(algo, seed, steps, task, hyperparameters=PRESETS[preset or "fast"][algo])
@@ -68,25 +72,61 @@ def robot(config, runs):
     return folder / "policy.npz"
 
 
-def scored(rows, agent, suite, seeds, **changes):
-    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are there."""
+def train_missing(executor, configs, runs):
+    """Trains those of `configs` that have no policy, side by side on an executor of several workers. In this process
+    each is trained when it is asked for instead."""
+    missing = [config for config in configs if not is_done(config, runs / f"{config.name}-{config.seed}")]
+    if executor.workers is not None and missing:
+        train_apart(executor, missing, runs, resume=True)
+
+
+def row_of(rows, agent, suite, seeds, changes):
+    """The file in the folder `rows` of an evaluation, the Play that makes it, and the agent's factory."""
     (cell,) = suite.cells
     config = cell.config.replace(**changes)
     make_agent = load_agent(agent)
-    follows_from = basis(
-        agent, [make_agent.track, make_agent.sensor], [dataclasses.replace(cell, config=config)], False
-    )
+    track = make_agent.track, make_agent.sensor
+    follows_from = basis(agent, list(track), [dataclasses.replace(cell, config=config)], False)
     follows_from["agent"] = follows_from["agent"][1] if agent.endswith(".npz") else agent  # wherever the file lies
     key = json.dumps([follows_from, suite.digest, seeds])
     path = rows / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
-    if path.exists():
-        return json.loads(path.read_text())["episodes"]
-    print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
-    track = make_track(make_agent.track, make_agent.sensor)
-    episodes = run_episodes(make_agent, config, track, seeds, agent)
+    return path, Play(agent, config, track, tuple(seeds), agent), make_agent
+
+
+def write_row(path, agent, changes, episodes):
+    """Writes the metrics of Episodes to the file `path`; returns them."""
     measured = [None if e.fault else {name: measure(e)[name] for name in (*PARTS, "success")} for e in episodes]
     write_json(path, {"agent": agent, "changes": {k: str(v) for k, v in changes.items()}, "episodes": measured})
     return measured
+
+
+def play_missing(executor, rows, suite, seeds, wanted):
+    """Plays what of the evaluations `wanted`, [(agent, changes), ...], is not in the folder `rows`, side by side on an
+    executor of several workers. In this process each is played when it is asked for instead."""
+    missing = {}
+    for agent, changes in wanted:
+        path, play, _ = row_of(rows, agent, suite, seeds, changes)
+        if not path.exists():
+            missing[path] = play, changes
+    plays = {id(play): (path, changes) for path, (play, changes) in missing.items()}
+
+    def whole(play, episodes):
+        path, changes = plays[id(play)]
+        print(f"{play.agent} {changes or ''}", file=sys.stderr, flush=True)
+        write_row(path, play.agent, changes, episodes)
+
+    play_each(executor, [play for play, _ in missing.values()], whole)
+
+
+def scored(rows, agent, suite, seeds, **changes):
+    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are
+    there."""
+    path, play, make_agent = row_of(rows, agent, suite, seeds, changes)
+    if path.exists():
+        return json.loads(path.read_text())["episodes"]
+    print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
+    episodes = run_episodes(make_agent, play.config, make_track(*play.track), seeds, agent)
+    return write_row(path, agent, changes, episodes)
 
 
 def averaged(runs):
@@ -184,15 +224,24 @@ def run(args):
     """Makes the tables; returns the exit code."""
     if args.ship and (args.episodes is not None or "table3" not in args.tables):
         raise UsageError("--ship notes the scores of Table III: leave --episodes out, and table3 among --tables.")
+    with make_executor(args.executor, args.ray_address, args.workers) as executor:
+        return _make(args, executor)
+
+
+def _make(args, executor):
+    """Makes the tables on an executor."""
     suite, steps = load_suite("paper"), int(args.steps)
     episodes = suite.drawn(args.episodes, 0)
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
 
+    def configs(algo, crowd="macid"):
+        return [wanted(algo, crowd, seed, steps, runs) for seed in range(args.seeds)]
+
     def robots(algo, crowd="macid"):
         if algo == "bc":
             robots("ppo", crowd)  # the experts
-        return [str(robot(wanted(algo, crowd, seed, steps, runs), runs)) for seed in range(args.seeds)]
+        return [str(robot(config, runs)) for config in configs(algo, crowd)]
 
     def score(agent, **changes):
         return scored(rows, agent, suite, episodes, **changes)
@@ -205,14 +254,28 @@ def run(args):
         write_bytes(out / name, ("\n".join(lines) + "\n").encode())
         print("\n".join(["", f"{out / name}:", *lines]), flush=True)
 
+    homes = [(algo, "macid") for algo in args.algos if {"table3", "lcf"} & set(args.tables)]
+    homes += [(args.carry, crowd) for crowd in CROWDS if "carry-over" in args.tables]
+    experts = [("ppo", crowd) for algo, crowd in homes if algo == "bc"]
+    for turn in (experts + [home for home in homes if home[0] != "bc"], [home for home in homes if home[0] == "bc"]):
+        train_missing(executor, [config for home in dict.fromkeys(turn) for config in configs(*home)], runs)
+    agents, carried, asked = {}, {}, []
     if {"table3", "lcf"} & set(args.tables):
         agents = {algo: robots(algo) for algo in args.algos} | {name: [name] for name in SCRIPTED}
+        settings = [{}] if "table3" in args.tables else []
+        settings += [{"lcf": lcf} for lcf in lcf_bins("macid") if "lcf" in args.tables]
+        asked += [(file, changes) for files in agents.values() for file in files for changes in settings]
+    if "carry-over" in args.tables:
+        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS} | {name: [name] for name in SCRIPTED}
+        settings = [{"pedestrian_model": crowd} for crowd in (*CROWDS, UNMET)]
+        asked += [(file, changes) for files in carried.values() for file in files for changes in settings]
+    if executor.workers is not None:
+        play_missing(executor, rows, suite, episodes, asked)
     if "table3" in args.tables:
         write("table3.md", _table3(agents, score, note))
     if "lcf" in args.tables:
         write("lcf.md", _by_lcf(agents, score))
     if "carry-over" in args.tables:
-        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS} | {name: [name] for name in SCRIPTED}
         for metric in ("SNS", "Coll"):
             write(f"carry-over-{metric}.md", _carried(carried, score, metric))
     return 0
@@ -231,6 +294,7 @@ def main():
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
     parser.add_argument("--out", type=command.name, default="table3")
+    add_executor(parser)
 
     def read_and_run():
         check_words(sys.argv[1:])

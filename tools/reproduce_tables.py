@@ -5,7 +5,8 @@
 Writes OUT/table1.md, table2.md, periods.md (other times between decisions), walking.md (how smoothly people walk),
 knob.md (how each policy's LCF works, on these and on maps of other kinds), figure2.png and figure2.csv. Policies that
 are not in the folder are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it
-was. A method's figures are the mean over its seeds and their (sample) standard deviation.
+was. A method's figures are the mean over its seeds and their (sample) standard deviation. With --executor ray,
+trainings and evaluations go side by side, on this machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
@@ -18,15 +19,16 @@ from dataclasses import replace
 import numpy as np
 
 from macid import command
-from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, check_words
+from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, add_executor, check_words
 from macid.crowd import CrowdConfig
 from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
+from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
 from macid.learning.curves import completed, plain
 from macid.learning.methods import METHODS
-from macid.learning.train import TrainConfig, preset, train
+from macid.learning.train import TrainConfig, preset, train, train_apart
 from macid.metrics import rank_correlation
 from macid.policy import load_policy
 from macid.state import PHYSICS_STEP
@@ -62,7 +64,8 @@ PAPER_TABLE_1 = (
 
 
 def wanted(agent_steps, seeds=None):
-    """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig: count}."""
+    """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig:
+    count}."""
     usual = [TrainConfig(method=method) for method in METHODS]
     others = [preset(name, method="ipo") for name in ("paper-batch", "paper-ppo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
@@ -98,61 +101,110 @@ def find_policies(configs, *folders):
     return found
 
 
-def train_missing(configs, found, folder, engine="native"):
-    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds; seeds that
-    follow on each other at once, with an engine that is faster so."""
+def train_missing(configs, found, folder, executor=None, engine="native"):
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds: side by
+    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster so."""
     kind, _ = engine_kind(engine)
-    todo = []  # (config, how many seeds from its own on)
-    for config, seeds in configs.items():
-        for seed in range(seeds):
-            if seed in found.get(config.name, {}):
-                continue
-            before, count = todo[-1] if todo else (None, 0)
-            if kind.stacks and before and before.name == config.name and before.seed + count == seed:
-                todo[-1] = before, count + 1
-            else:
-                todo.append((replace(config, seed=seed, engine=engine), 1))
-    for number, (config, count) in enumerate(todo, start=1):
+    todo = [
+        replace(config, seed=seed, engine=engine)
+        for config, seeds in configs.items()
+        for seed in range(seeds)
+        if seed not in found.get(config.name, {})
+    ]
+    if executor is not None and executor.workers is not None:
+        train_apart(executor, todo, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
+        return
+    groups = []  # (config, how many seeds from its own on)
+    for config in todo:
+        before, count = groups[-1] if groups else (None, 0)
+        if kind.stacks and before and replace(before, seed=before.seed + count) == config:
+            groups[-1] = before, count + 1
+        else:
+            groups.append((config, 1))
+    for number, (config, count) in enumerate(groups, start=1):
         seeds = f"seed {config.seed}" if count == 1 else f"seeds {config.seed} to {config.seed + count - 1}"
-        print(f"training {number} of {len(todo)}: {config.name}, {seeds}", file=sys.stderr, flush=True)
+        print(f"training {number} of {len(groups)}: {config.name}, {seeds}", file=sys.stderr, flush=True)
         train(config, folder, count, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
 
 
-def evaluated(rows, file, level, lcf, episodes):
-    """A row of `evaluate_level`, from the folder `rows` if it is there; `file`: a policy's or a rule's name."""
+def evaluation(file, level, lcf, episodes):
+    """(settings that a row's name follows from, the function, its arguments) of a row of `evaluate_level`; `file`: a
+    policy's or a rule's name."""
     config = CrowdConfig(period=usual_period(str(file)), lcf=lcf)
+    arguments = {"pedestrian": str(file), "level": level, "episodes": episodes, "config": config}
+    return [plain(config), episodes], evaluate_level, arguments
 
-    def play():
-        print(f"{file} on Lv.{level}, LCF ({lcf[0]:.2f}, {lcf[1]:.2f})", file=sys.stderr, flush=True)
-        return evaluate_level(str(file), level, episodes, config=config)
 
-    return kept(rows, file, level, [plain(config), episodes], play)
+def knob_evaluation(file, level, episodes):
+    """As `evaluation`, of a row of `measure_knob`; `file`: a policy's."""
+    config, mixed = CrowdConfig(period=usual_period(str(file))), MIXED * episodes
+    arguments = {"pedestrian": str(file), "level": level, "episodes": episodes, "mixed": mixed, "config": config}
+    return ["knob", plain(config), episodes, mixed], measure_knob, arguments
+
+
+def evaluated(rows, file, level, lcf, episodes):
+    """A row of `evaluate_level`, from the folder `rows` if it is there."""
+    return kept(rows, evaluation(file, level, lcf, episodes))
 
 
 def knob(rows, file, level, episodes):
-    """A row of `measure_knob`, from the folder `rows` if it is there; `file`: a policy's."""
-    config, mixed = CrowdConfig(period=usual_period(str(file))), MIXED * episodes
-
-    def play():
-        print(f"the knob of {file} on {level_name(level)}", file=sys.stderr, flush=True)
-        return measure_knob(str(file), level, episodes, mixed, config=config)
-
-    return kept(rows, file, level, ["knob", plain(config), episodes, mixed], play)
+    """A row of `measure_knob`, from the folder `rows` if it is there."""
+    return kept(rows, knob_evaluation(file, level, episodes))
 
 
-def kept(rows, file, level, settings, play):
-    """What `play` gives, from the folder `rows` if it was played before by the same model, map, `settings` and MuJoCo."""
-    pedestrian = str(file)
+def row_file(rows, settings, arguments):
+    """The file in the folder `rows` of what was played by the same model, map, `settings` and MuJoCo."""
+    pedestrian, level = arguments["pedestrian"], arguments["level"]
     content = pathlib.Path(pedestrian).read_bytes() if pedestrian.endswith(".npz") else pedestrian.encode()
     layout = load_level(level)
     follows_from = [layout.obstacles.tolist(), layout.pedestrians, *settings, versions("mujoco")["mujoco"]]
     key = hashlib.sha256(content + json.dumps(follows_from).encode()).hexdigest()[:16]
-    path = rows / f"{pathlib.Path(pedestrian).stem}-lv{level}-{key}.json"
+    return rows / f"{pathlib.Path(pedestrian).stem}-lv{level}-{key}.json"
+
+
+def kept(rows, asked):
+    """The row of an `evaluation`, from the folder `rows` if it is there."""
+    settings, function, arguments = asked
+    path = row_file(rows, settings, arguments)
     if path.exists():
         return json.loads(path.read_text())
-    row = play()
+    print(told(asked), file=sys.stderr, flush=True)
+    row = function(**arguments)
     write_json(path, row)
     return row
+
+
+def told(asked):
+    """An `evaluation` in words."""
+    settings, _, arguments = asked
+    if settings[0] == "knob":
+        return f"the knob of {arguments['pedestrian']} on {level_name(arguments['level'])}"
+    low, high = arguments["config"].lcf
+    return f"{arguments['pedestrian']} on Lv.{arguments['level']}, LCF ({low:.2f}, {high:.2f})"
+
+
+def play_missing(executor, rows, wanted):
+    """Plays what of the evaluations `wanted` is not in the folder `rows`, side by side on an executor of several
+    workers. In this process each is played when it is asked for instead."""
+    missing = {}
+    for asked in wanted:
+        path = row_file(rows, asked[0], asked[2])
+        if not path.exists():
+            missing[path] = asked
+    paths, carried = list(missing), Carried()
+    for _, _, arguments in missing.values():
+        if arguments["pedestrian"].endswith(".npz"):
+            policy = pathlib.Path(arguments["pedestrian"])
+            carried += carry_files([policy, policy.with_suffix(".json")])
+
+    def job(path):
+        return None if path.exists() else missing[path][1:]
+
+    def receive(index, row):
+        print(told(missing[paths[index]]), file=sys.stderr, flush=True)
+        write_json(paths[index], {**row, "pedestrian": missing[paths[index]][2]["pedestrian"]})
+
+    executor.run(call, [lambda path=path: job(path) for path in paths], receive, carried)
 
 
 def note_scores(files, rows_by_seed):
@@ -178,7 +230,7 @@ def over_seeds(rows_by_seed, columns=COLUMNS):
 def line(label, mean, std=None):
     """A row of a Markdown table; "-" for NaN."""
     cells = [f"{m:.1f}" if std is None else f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, mean if std is None else std)]
-    return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells)])
+    return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells, strict=False)])
 
 
 def text_row(label, cells):
@@ -255,11 +307,17 @@ def plot(curves, path):
 
 def run(args):
     """Makes the tables; returns the exit code."""
+    with make_executor(args.executor, args.ray_address, args.workers) as executor:
+        return _make(args, executor)
+
+
+def _make(args, executor):
+    """Makes the tables on an executor."""
     configs = wanted(args.agent_steps, args.seeds)
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if not args.no_train:
-        train_missing(configs, find_policies(configs, args.policies, runs), runs, args.engine)
+        train_missing(configs, find_policies(configs, args.policies, runs), runs, executor, args.engine)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
         for name, by_seed in find_policies(configs, args.policies, runs).items()
@@ -284,12 +342,14 @@ def run(args):
         write_bytes(out / name, ("\n".join(lines) + "\n").encode())
         print("\n".join(["", f"{out / name}:", *lines]))
 
+    methods = {config.name: METHODS[config.method] for config in configs if config.name in usual}
+    turned = [m for m in methods if m in policies and methods[m].lcf[0] < methods[m].lcf[1] and not methods[m].meta]
+    if executor.workers is not None:
+        play_missing(executor, rows, asked_for(args, models, policies, turned))
     if "table2" in args.tables:
         _table2(args, models, policies, tabled, label, write)
     if "periods" in args.tables:
         _periods(args, configs, policies, tabled, label, write)
-    methods = {config.name: METHODS[config.method] for config in configs if config.name in usual}
-    turned = [m for m in methods if m in policies and methods[m].lcf[0] < methods[m].lcf[1] and not methods[m].meta]
     if "table1" in args.tables and turned:
         write("table1.md", _table1(turned, policies, tabled))
     if "knob" in args.tables and turned:
@@ -300,6 +360,22 @@ def run(args):
         lines = [line for figure in KNOB for line in ["", *knob_table(figure, by_method, levels)]]
         write("knob.md", lines[1:])
     return 0
+
+
+def asked_for(args, models, policies, turned):
+    """The evaluations that the chosen tables are of."""
+    chosen = {"table2": models, "periods": policies}
+    groups = [group for name in chosen if name in args.tables for group in chosen[name].values()]
+    files = dict.fromkeys(file for group in groups for file in group)
+    asked = [evaluation(file, level, table_lcf(str(file)), args.episodes) for file in files for level in LEVELS]
+    ours = [(method, file) for method in turned for file in policies[method]]
+    if "table1" in args.tables:
+        bins = {method: lcf_bins(str(policies[method][0])) for method in turned}
+        sections = [(file, lcf) for method, file in ours for lcf in bins[method]]
+        asked += [evaluation(file, level, lcf, args.episodes) for file, lcf in sections for level in LEVELS]
+    if "knob" in args.tables:
+        asked += [knob_evaluation(file, level, args.episodes) for _, file in ours for level in LEVELS + OTHER_LEVELS]
+    return asked
 
 
 def _table2(args, models, policies, tabled, label, write):
@@ -378,6 +454,7 @@ def main():
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")
     parser.add_argument("--out", type=command.name, default="tables")
+    add_executor(parser)
 
     def read_and_run():
         check_words(sys.argv[1:])

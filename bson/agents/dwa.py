@@ -23,25 +23,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bson.robot import JACKAL
-from bson.sensors import Lidar2D
+from bson.agents.contract import Setting
+from bson.agents.scan import Scan
 
 
 @dataclass(frozen=True)
 class DwaConfig:
-    """What `Dwa` assumes and weighs. Metres, seconds, radians; weights have no unit."""
+    """What `Dwa` assumes and weighs. Metres, seconds, radians; weights have no unit.
 
-    period: float = 0.1  # between two calls
-    mount: float = 0.12  # of the LIDAR ahead of the robot's centre
-    acceleration: float = 6.5  # that the tyres give [m/s2]
-    yaw_acceleration: float = 18.0  # [rad/s2]
-    braking: float = 3.0  # that a stop is sure to have [m/s2]
-    yaw_braking: float = 10.0  # [rad/s2]
+    The shipped robots all take about 0.3 s to the top speed and 0.1 s to the top yaw rate that they are built for, so
+    accelerations are given in these.
+    """
+
+    longest_period: float = 0.5  # between two calls: a person walks 0.7 m meanwhile
+    acceleration: float = 3.25  # that the tyres give, in top speeds a second [1/s]
+    yaw_acceleration: float = 9.0  # in top yaw rates a second [1/s]
+    braking: float = 1.5  # that a stop is sure to have, in top speeds a second [1/s]
+    yaw_braking: float = 5.0  # in top yaw rates a second [1/s]
     max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns in more than it is told to [m/s2]
     speeds: int = 9  # in the window
     rates: int = 15
 
-    sector_beams: int = 6  # beams of which the nearest point counts
+    sector: float = 2.25  # of the scan, of which the nearest point counts [deg]
     far: float = 2.5  # way along an arc that is looked at
     far_turn: float = 2.0  # and turn, where that is less [rad]
     steps: int = 14  # of an arc
@@ -50,7 +53,7 @@ class DwaConfig:
     margin_per_speed: float = 0.1  # and more for each m/s [s]
     slack: float = 0.1  # share of the gap by which who is within the margin may come closer
     pass_time: float = 0.05  # the present gap over this is the top speed [s]
-    creep: float = 0.4  # that may be driven at any gap [m/s]
+    creep: float = 0.4  # that may be driven at any gap, or half the top speed, if that is less [m/s]
 
     heading_time: float = 0.3  # after which the heading counts
     heading_weight: float = 1.5
@@ -58,34 +61,50 @@ class DwaConfig:
     speed_weight: float = 1.0
     approach_time: float = 1.0  # speed that would reach the goal sooner is worth no more
 
-    standing: float = 0.1  # speed below which it stands [m/s]
-    escape_rate: float = 1.2  # of turning on the spot [rad/s]
-    escape_speed: float = 0.4  # of backing out [m/s]
+    standing: float = 0.05  # share of the top speed below which it stands
+    escape_rate: float = 1.2  # of turning on the spot, or the top yaw rate, if that is less [rad/s]
+    escape_speed: float = 0.4  # of backing out, or half the top speed, if that is less [m/s]
 
 
 class Dwa:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, config=DwaConfig(), lidar=Lidar2D(), robot=JACKAL.config):
-        self.config, self._limit = config, np.array([robot.max_speed, robot.max_yaw_rate])
+    def __init__(self, setting: Setting | None = None, config=DwaConfig()):
+        setting = Setting.default() if setting is None else setting
+        setting.check_period(config.longest_period)
+        robot, self.config, self._limit = setting.robot, config, setting.top
+        self._period, self._scan = setting.control_period, Scan(setting, config.longest_period)
+        self._sector = self._scan.beams_in(math.radians(config.sector))
         self._half = np.array([robot.half_length, robot.half_width])  # of the footprint
-        self._directions = np.stack([np.cos(lidar.angles), np.sin(lidar.angles)], axis=-1)
+        self._reach = config.far + 2 * self._half[0] + (self._scan.period - self._period) * robot.max_speed
+        self._acceleration = np.array([config.acceleration, config.yaw_acceleration]) * setting.built_for
+        self._braking = np.array([config.braking, config.yaw_braking]) * setting.built_for
+        self._slow = min(config.creep, robot.max_speed / 2)
+        self._standing = min(config.standing * robot.max_speed, self._acceleration[0] * self._period / 2)
+        self._escape_speed = min(config.escape_speed, robot.max_speed / 2)
+        self._escape_rate = min(config.escape_rate, robot.max_yaw_rate)
         self.reset()
 
     def reset(self, seed=None):
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
+        self._steps, self._met = 0, np.zeros((0, 2))  # since the episode began; points (m, 2) [m] that were met
         self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
 
     def __call__(self, observation):
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
-        points = self._points(np.asarray(observation["lidar"], float))
+        if self._steps % self._scan.every == 0:
+            self._met = self._points(self._scan.read(observation))
+        else:
+            self._met = self._left_behind(self._met, velocity)
+        self._steps += 1
+        points = self._met
         bearing = math.atan2(goal[1], goal[0])
         speed, rate = self.window(velocity, bearing)
         clearance, admissible = self._clearance(speed, rate, points, np.hypot(*goal))
         admissible &= np.abs(speed * rate) <= self.config.max_lateral_acceleration
         value = np.where(admissible & (rate * self._side >= 0), self._value(speed, rate, clearance, goal), -np.inf)
         best = int(value.argmax())
-        if np.isinf(value[best]) or speed[best] < self.config.standing:
+        if np.isinf(value[best]) or speed[best] < self._standing:
             return self._escape(points, bearing) / self._limit
         self._side = 0.0
         return np.array([speed[best], rate[best]]) / self._limit
@@ -97,7 +116,7 @@ class Dwa:
         """
         c = self.config
         now = np.clip(velocity, [0.0, -self._limit[1]], self._limit)
-        change = np.array([c.acceleration, c.yaw_acceleration]) * c.period
+        change = self._acceleration * self._period
         low, high = np.clip([now - change, now + change], [0.0, -self._limit[1]], self._limit)
         rates = np.linspace(low[1], high[1], c.rates)
         rates = np.append(rates, np.clip([0.0, bearing / c.heading_time], low[1], high[1]))
@@ -106,11 +125,16 @@ class Dwa:
 
     def _points(self, scan):
         """The nearest point (m, 2) [m] of each sector of the scan that is in reach, robot frame."""
-        c = self.config
-        sectors = scan.reshape(-1, c.sector_beams)
-        nearest = sectors.argmin(axis=1) + np.arange(len(sectors)) * c.sector_beams
-        nearest = nearest[scan[nearest] < c.far + 2 * self._half[0]]
-        return scan[nearest, None] * self._directions[nearest] + [c.mount, 0.0]
+        nearest = self._scan.nearest(scan, self._sector)
+        nearest = nearest[scan[nearest] < self._reach]
+        return self._scan.points(scan, nearest)
+
+    def _left_behind(self, points, velocity):
+        """Where `points` (m, 2) [m] are, robot frame, after a control step at `velocity` (2,) (v, w)."""
+        way, turn = velocity * self._period
+        offset = points - way * np.array([math.cos(turn / 2), math.sin(turn / 2)])
+        c, s = math.cos(turn), math.sin(turn)
+        return offset @ np.array([[c, -s], [s, c]])
 
     def _clearance(self, speed, rate, points, distance):
         """Of the arcs of `speed` (n,) and `rate` (n,): the clearance (n,) in [0, 1], and whether it is admissible (n,).
@@ -126,11 +150,12 @@ class Dwa:
         gap = self._gaps(speed[:, None], rate[:, None], time, points)
         margin = np.minimum(c.margin + c.margin_per_speed * np.abs(speed), gap[:, 0] - c.slack * np.abs(gap[:, 0]))
         hit = np.logical_or.accumulate(gap[:, 1:] < margin[:, None], axis=1)
-        hit |= (np.abs(speed) > np.maximum(c.creep, gap[:, 0] / c.pass_time))[:, None]
+        hit |= (np.abs(speed) > np.maximum(self._slow, gap[:, 0] / c.pass_time))[:, None]
         room = np.where(hit, 0.0, np.clip(gap[:, 1:] / c.near, 0.0, 1.0))
         clearance = room.mean(axis=1, where=np.abs(speed)[:, None] * time[:, :-1] <= distance)
         free = length * (~hit).mean(axis=1)  # [s]
-        stop = c.period + np.maximum(np.abs(speed) / (2 * c.braking), np.abs(rate) / (2 * c.yaw_braking))
+        braking, yaw_braking = self._braking
+        stop = self._period + np.maximum(np.abs(speed) / (2 * braking), np.abs(rate) / (2 * yaw_braking))
         return clearance, ~hit[:, -1] | (free >= stop)
 
     def _gaps(self, speed, rate, time, points):
@@ -162,8 +187,8 @@ class Dwa:
         c = self.config
         if not self._side:
             self._side = 1.0 if bearing >= 0 else -1.0
-        speed = np.array([0.0, -c.escape_speed])
-        rate = np.array([self._side * c.escape_rate, 0.0])
+        speed = np.array([0.0, -self._escape_speed])
+        rate = np.array([self._side * self._escape_rate, 0.0])
         _, admissible = self._clearance(speed, rate, points, c.far)
         best = int(admissible.argmax())
         return np.array([speed[best], rate[best]]) if admissible[best] else np.zeros(2)

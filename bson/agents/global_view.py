@@ -2,16 +2,21 @@
 
 import numpy as np
 
+from bson.agents.contract import Setting, Unsuited
 from bson.planners import Grid
 from macid import geometry
 
-PERIOD = 0.1  # between observations [s]
-
 
 class GlobalView:
-    """The present, in the world frame [m, m/s, rad]: `see` each observation of an episode in turn."""
+    """The present, in the world frame [m, m/s, rad]: `see` each observation of an episode in turn.
 
-    def __init__(self):
+    Raises Unsuited on another track than the Global one.
+    """
+
+    def __init__(self, setting: Setting):
+        if setting.track == "local":
+            raise Unsuited("needs the map and people's places: choose --track global.")
+        self._period = setting.control_period
         self.reset()
 
     def reset(self):
@@ -29,4 +34,4 @@ class GlobalView:
         self.goal = self.pose[:2] + geometry.rotate(np.asarray(observation["goal"], float), self.pose[2])
         people = np.asarray(observation["people"], float)
         before = people if self.people is None else self.people
-        self.people, self.people_velocity = people, (people - before) / PERIOD
+        self.people, self.people_velocity = people, (people - before) / self._period

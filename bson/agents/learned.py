@@ -1,34 +1,45 @@
 """Agents that were trained: an MLP on `bson.features`, run by NumPy alone.
 
-One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it scores, and
-"output": "clip" or "tanh"). Those that are shipped lie in assets/agents.
+One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it scores,
+"output": "clip" or "tanh", and "setting": in what it was trained). Those that are shipped lie in assets/agents.
 """
 
+import dataclasses
+import functools
 import pathlib
+from typing import Any
 
+import msgspec
 import numpy as np
 
-from bson.features import FEATURES, Features
+from bson.agents.contract import Setting, Unsuited
+from bson.features import FEATURES, SECTORS, TOP, Features
+from bson.sensors import Lidar2D
+from bson.task import TaskConfig
+from bson.tracks import make_track
 from macid import assets
+from macid.documents import convert
 from macid.files import UsageError
 from macid.policy import read_network
 
 ACTIONS = 2
 _OUTPUTS = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+_TOP = ("max_speed", "max_yaw_rate")
+_UNITS = {"control_period": " s", "max_speed": " m/s", "max_yaw_rate": " rad/s", "field": " rad", "range_max": " m"}
 
 
 class Learned:
     """An agent for one world on the Local track with the 2D LIDAR; stateful, since it remembers its last scans.
 
     layers: [(weight (in, out), bias (out,)), ...] with ReLU between; output: "clip" or "tanh", what makes an action of
-    the last layer's output.
+    the last layer's output; top: of the robot that it was trained on, see bson.features.motion.
     """
 
     track, sensor = "local", "lidar2d"
 
-    def __init__(self, layers, output):
-        self._layers, self._output = layers, _OUTPUTS[output]
-        self._features, self._begun = Features(1), False
+    def __init__(self, layers, output, top=TOP):
+        self._layers, self._output, self.top = layers, _OUTPUTS[output], top
+        self._features, self._begun = Features(1, top), False
 
     def reset(self, seed):
         """Begins an episode."""
@@ -55,8 +66,118 @@ def names():
     return assets.names("agents", ".npz")
 
 
-def load(name):
-    """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none."""
+class _Trained(msgspec.Struct):
+    """In what a policy was trained, as its recipe has it; fields that it lacks are not compared."""
+
+    control_period: float
+    robot: dict[str, str | float]
+    lidar: dict[str, Any]
+
+
+def setting_document(setting: Setting) -> dict:
+    """What a recipe notes as the "setting" in which a policy was trained, as JSON has it.
+
+    Raises Unsuited where there is no Lidar2D "lidar"."""
+    return {
+        "control_period": setting.control_period,
+        "robot": dataclasses.asdict(setting.robot),
+        "lidar": dataclasses.asdict(_lidar(setting)),
+    }
+
+
+def _lidar(setting):
+    for sensor in setting.sensors:
+        if sensor.key == "lidar" and isinstance(sensor, Lidar2D):
+            if sensor.beams % SECTORS:
+                raise Unsuited(f"needs a LIDAR whose beams are a multiple of {SECTORS}, not {sensor.beams}.")
+            return sensor
+    has = ", ".join(type(sensor).__name__ for sensor in setting.sensors) or "none"
+    raise Unsuited(f'needs a Lidar2D with the key "lidar"; the sensors are: {has}. Choose --sensor lidar2d.')
+
+
+def _trained(recipe, path):
+    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its policy
+    was trained with the default sensors. Raises UsageError."""
+    called = f"the policy's recipe '{path.with_suffix('.json')}'"
+    if "setting" in recipe:
+        trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")
+        for key in _TOP:
+            if not (isinstance(trained.robot.get(key), float) and trained.robot[key] > 0):
+                raise UsageError(f"{called}, key 'setting': its robot has no {key} above 0.")
+        return trained
+    task = recipe.get("task") or {}
+    try:
+        config = TaskConfig(**{key: task[key] for key in ("control_period", "robot") if key in task})
+    except (ValueError, TypeError) as error:
+        raise UsageError(f"{called}, key 'task', does not tell in what it was trained: {error}") from None
+    setting = Setting.of(config, make_track(Learned.track, Learned.sensor))
+    return convert(setting_document(setting), _Trained, called)
+
+
+def _compared(trained, setting):
+    """(what it was trained with, what is given), each [text, ...], of all that differs."""
+    found = [("", {"control_period": trained.control_period}, {"control_period": setting.control_period})]
+    ours, theirs = dict(trained.robot), dataclasses.asdict(setting.robot)
+    names = [pathlib.Path(str(robot.pop("name"))).stem for robot in (ours, theirs)]
+    if names[0] != names[1]:
+        found.append(("", {"robot": names[0]}, {"robot": names[1]}))
+    else:
+        found.append((f"robot {names[0]}'s ", ours, theirs))
+    found.append(("LIDAR's ", trained.lidar, dataclasses.asdict(_lidar(setting))))
+    pairs = [
+        [f"{prefix}{key} {_shown(each[key])}{_UNITS.get(key, '')}" for each in (before, now)]
+        for prefix, before, now in found
+        for key in before
+        if key in now and _plain(before[key]) != _plain(now[key])
+    ]
+    return [before for before, _ in pairs], [now for _, now in pairs]
+
+
+def _plain(value):
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _shown(value):
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+class _Factory:
+    """The AgentFactory of the policy `name` with `layers` and `recipe`, of the file `path`."""
+
+    track, sensor, takes_setting = Learned.track, Learned.sensor, True
+
+    def __init__(self, name, path, layers, recipe, untrained):
+        self._name, self._untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
+        self._trained = functools.cache(lambda: _trained(recipe, path))
+        self._top = tuple(self._trained().robot[key] for key in _TOP) if "setting" in recipe else TOP
+
+    def __call__(self, setting=None):
+        if setting is not None:
+            self._check(setting)
+        return Learned(self._layers, self._output, self._top)
+
+    def _check(self, setting):
+        """Raises Unsuited where `setting` is another than it was trained in, or, untrained, where it can't even try."""
+        try:
+            _lidar(setting)
+        except Unsuited as error:
+            raise Unsuited(f"Agent '{self._name}' {error}") from None
+        if self._untrained:
+            return
+        before, now = _compared(self._trained(), setting)
+        if before:
+            raise Unsuited(
+                f"Agent '{self._name}' was trained with {', '.join(before)}, not with {', '.join(now)}; "
+                "--untrained-setting (in Python: load_agent(name, untrained=True)) lets it try."
+            )
+
+
+def load(name, untrained=False):
+    """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none.
+
+    The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with, unless
+    `untrained`.
+    """
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
     layers, recipe = read_network(path)
     output = recipe.get("output")
@@ -67,9 +188,4 @@ def load(name):
     for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:
             raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
-
-    def factory():
-        return Learned(layers, output)
-
-    factory.track, factory.sensor = Learned.track, Learned.sensor
-    return factory
+    return _Factory(name, path, layers, recipe, untrained)

@@ -12,6 +12,7 @@ from them in three things.
   path, as ORCA alone finds no way out of a dead end.
 """
 
+import dataclasses
 import functools
 import math
 from dataclasses import dataclass
@@ -20,9 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bson.agents.global_view import PERIOD, GlobalView
+from bson.agents.contract import Setting
+from bson.agents.global_view import GlobalView
 from bson.planners import NoPath, plan, shortcut
-from bson.robot import JACKAL
 from macid import geometry
 from macid.pedestrians.orca import ORCA, best_velocity
 from macid.pedestrians.social_force import left_of
@@ -34,8 +35,8 @@ class OrcaOracleConfig:
     """What `OrcaOracle` assumes. Metres and seconds."""
 
     ahead: float = 0.2  # of the robot's centre, the point that ORCA moves
-    preferred_speed: float = 1.8  # [m/s]
-    max_back_speed: float = 0.6  # [m/s]
+    preferred_speed: float = 1.8  # or the robot's top speed, if that is less [m/s]
+    max_back_speed: float = 0.6  # likewise [m/s]
     responsibility: float = 1.0  # the robot's share of an avoidance; 0.5 counts on people's half
     neighbors: int = 10  # the nearest ones count
     horizon: float = 2.0  # for people
@@ -43,7 +44,8 @@ class OrcaOracleConfig:
     walls: int = 8  # likewise
     wall_horizon: float = 1.0
     path_clearance: float = 0.15  # of the path from walls, beside the disc
-    replan: int = 10  # decisions between two plans at least
+    replan: float = 1.0  # between two plans at least
+    longest_period: float = 0.5  # between decisions: a person walks 0.7 m meanwhile
 
 
 class OrcaOracle:
@@ -51,10 +53,18 @@ class OrcaOracle:
 
     track, sensor = "global", "lidar2d"
 
-    def __init__(self, config=OrcaOracleConfig(), robot=JACKAL.config):
-        self.config, self._robot = config, robot
+    def __init__(self, setting: Setting | None = None, config=OrcaOracleConfig()):
+        setting = Setting.default("global") if setting is None else setting
+        setting.check_period(config.longest_period)
+        self._robot = robot = setting.robot
+        self._period, self._replan = setting.control_period, setting.steps(config.replan)
+        self.config = dataclasses.replace(
+            config,
+            preferred_speed=min(config.preferred_speed, robot.max_speed),
+            max_back_speed=min(config.max_back_speed, robot.max_speed),
+        )
         self.radius = math.hypot(robot.half_length + config.ahead, robot.half_width)  # of the disc around the point
-        self._view = GlobalView()
+        self._view = GlobalView(setting)
         self.reset()
 
     def reset(self, seed=None):
@@ -77,7 +87,9 @@ class OrcaOracle:
         people = _nearest(people, np.hypot(*(view.people - point).T), self.config.neighbors)
         walls = _nearest(self._boxes, geometry.point_box_distance(point, self._boxes), self.config.walls)
         position, velocity = np.vstack([point, people[:, :2]]), np.vstack([velocity, people[:, 2:]])
-        chosen = _choose(self.config, self.radius, robot, position, velocity, yaw, self._waypoint(point), walls)
+        chosen = _choose(
+            self.config, self._period, self.radius, robot, position, velocity, yaw, self._waypoint(point), walls
+        )
         forward, aside = geometry.to_body(np.asarray(chosen, float), yaw)
         return np.clip([forward / robot.max_speed, aside / self.config.ahead / robot.max_yaw_rate], -1.0, 1.0)
 
@@ -87,7 +99,7 @@ class OrcaOracle:
         while path is not None and len(path) > 1 and self._grid.lines_are_free(point, path[1]):
             path = path[1:]
         lost = path is None or not self._grid.lines_are_free(point, path[0])
-        if lost and (path is None or self._planned >= self.config.replan):
+        if lost and (path is None or self._planned >= self._replan):
             path, self._planned = self._plan(point), 0
         self._planned += 1
         self._path = path
@@ -111,11 +123,11 @@ def _nearest(rows, distance, count):
     return np.vstack([nearest, missing])
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
-def _choose(config, radius, robot, position, velocity, yaw, waypoint, boxes):
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, boxes):
     """The velocity (2,) [m/s] of the point, which is row 0 of `position` and `velocity` (1 + neighbors, 2)."""
     people = ORCA(
-        PERIOD,
+        period,
         preferred_speed=config.preferred_speed,
         radius=(radius + RADIUS) / 2,  # of both, as ORCA knows one radius only
         margin=config.margin / 2,
@@ -123,7 +135,7 @@ def _choose(config, radius, robot, position, velocity, yaw, waypoint, boxes):
         horizon=config.horizon,
     )
     walls = ORCA(
-        PERIOD,
+        period,
         max_speed=robot.max_speed,
         radius=radius,
         margin=config.margin,

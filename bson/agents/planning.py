@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
 from bson.planners import (
     CarrtStarConfig,
@@ -16,7 +17,9 @@ from bson.planners import (
     social_cost,
 )
 
-_CLEARANCE = 0.40  # kept from walls: the Jackal's circle of 0.31 m, and what a follower cuts of a corner [m]
+_CORNER = 0.09  # kept from walls beside the robot's circle: what a follower cuts of a corner [m]
+_LONGEST = 0.5  # between decisions: a person walks 0.7 m meanwhile [s]
+_REPLAN = 0.3  # between plans [s]
 _NEAR = 10.0  # of way in which a path's detours are taken out: it is planned anew long before more is driven [m]
 _AHEAD, _QUIET = 4.0, 2.0  # RRT plans anew when the next 4 m of way cost more than twice their length
 
@@ -28,17 +31,21 @@ def _reaching(path, length):
 
 
 class _Planning:
-    """Plans every `replan` decisions, or when there is no path, and follows; stops where there is no way.
+    """Plans every 0.3 s, or when there is no path, and follows; stops where there is no way.
 
     config is the planner's first, `again` that of the later ones, which begin with what is left of the last path.
     """
 
     track, sensor = "global", "lidar2d"
-    planner, replan, config, again = "astar", 3, None, None
-    top = np.array([2.0, 2.0])  # that an action of 1 stands for [m/s, rad/s]
+    planner, config, again = "astar", None, None
 
-    def __init__(self):
-        self._follower, self._view = PurePursuit(), GlobalView()
+    def __init__(self, setting: Setting | None = None):
+        setting = Setting.default("global") if setting is None else setting
+        setting.check_period(_LONGEST)
+        self._top, self._replan = setting.top, setting.steps(_REPLAN)
+        self._clearance = round(setting.robot.radius + _CORNER, 2)
+        self._follower = PurePursuit.of(setting.robot, setting.control_period)
+        self._view = GlobalView(setting)
         self.reset(0)
 
     def reset(self, seed):
@@ -52,13 +59,13 @@ class _Planning:
         """The action for a Global observation (see bson.env.BsonEnv)."""
         self._view.see(observation)
         if self._grid is None:
-            self._grid = self._view.map.inflated(_CLEARANCE)
-        if self._path is None or self._age >= self.replan:
+            self._grid = self._view.map.inflated(self._clearance)
+        if self._path is None or self._age >= self._replan:
             self._plan()
         self._age += 1
         if self._path is None:
             return np.zeros(2)
-        return np.clip(np.array(self._follower(self._view.pose, self._path)) / self.top, -1.0, 1.0)
+        return np.clip(np.array(self._follower(self._view.pose, self._path)) / self._top, -1.0, 1.0)
 
     def _plan(self):
         self._age = 0

@@ -2,8 +2,12 @@
 
 import numpy as np
 
-_NEAR = 1.6  # [m]
-_AHEAD = slice(280, 440)  # of the 2D LIDAR's 720 beams, the 60 degrees in front
+from bson.agents.contract import Setting, Unsuited
+from bson.agents.scan import Scan
+
+_NEAR = 1.491  # from the robot's front, 1.6 m from the Jackal's LIDAR [m]
+_AHEAD = np.radians(30.0)  # to either side of what StopAndGo minds
+_TURN = 1.5  # share of the top yaw rate for each radian off the goal
 
 
 def stop(observation):
@@ -22,16 +26,47 @@ class Random:
         return self._rng.uniform(-1.0, 1.0, 2)
 
 
-def goal(observation, speed=0.8):
-    """Drives straight to the goal at 1.6 m/s, whatever stands in the way; turns on the spot while it faces away.
+def goal(observation, speed=0.8, turn=_TURN):
+    """The action straight to the goal, whatever stands in the way; it turns on the spot while the goal is behind.
 
-    speed: the share of the Jackal's 2 m/s instead.
+    speed: share of the top speed: 1.6 m/s of the Jackal. turn: share of the top yaw rate for each radian off the goal.
     """
     x, y = observation["goal"]
     bearing = np.arctan2(y, x)
-    return np.array([speed * max(0.0, np.cos(bearing)) ** 2, np.clip(1.5 * bearing, -1.0, 1.0)])
+    return np.array([speed * max(0.0, np.cos(bearing)) ** 2, np.clip(turn * bearing, -1.0, 1.0)])
 
 
-def stop_and_go(observation):
-    """Stands while anything is within 1.6 m in the 60 degrees ahead of the LIDAR; else drives as `goal` does, at 2 m/s."""
-    return stop(observation) if observation["lidar"][_AHEAD].min() < _NEAR else goal(observation, speed=1.0)
+class Goal:
+    """Drives as `goal` does, no faster than lets it decide again before it is there, or looks the other way."""
+
+    speed = 0.8  # share of the top speed
+
+    def __init__(self, setting: Setting | None = None):
+        setting = Setting.default() if setting is None else setting
+        in_a_step = setting.control_period * setting.top
+        self._turn, self._reach = min(_TURN, 1.0 / in_a_step[1]), in_a_step[0]
+
+    def __call__(self, observation):
+        """The action (2,) for one world's observation."""
+        return goal(observation, min(self.speed, np.hypot(*observation["goal"]) / self._reach), self._turn)
+
+
+class StopAndGo(Goal):
+    """Stands while anything is within 1.5 m of its front in the 60 degrees ahead of the LIDAR; else drives as Goal does,
+    at top speed."""
+
+    speed = 1.0
+
+    def __init__(self, setting: Setting | None = None):
+        setting = Setting.default() if setting is None else setting
+        super().__init__(setting)
+        self._scan = Scan(setting)
+        self._near = round(_NEAR + setting.robot.half_length - float(self._scan.place[0]), 3)  # from the LIDAR [m]
+        self._ahead = np.abs(self._scan.angles) <= _AHEAD
+        if not self._ahead.any():
+            raise Unsuited(f"needs a Lidar2D that looks ahead; '{self._scan.key}' doesn't.")
+
+    def __call__(self, observation):
+        """The action (2,) for one world's observation."""
+        near = self._scan.read(observation)[self._ahead].min() < self._near
+        return stop(observation) if near else super().__call__(observation)

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bson.robot import JACKAL
-from bson.sensors import Lidar2D
+from bson.agents.contract import Setting
+from bson.agents.scan import Scan
 
 _LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # the products of a least-squares fit
 
@@ -30,16 +30,14 @@ _LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # th
 class VfhConfig:
     """What `Vfh` assumes and weighs. Metres, seconds, radians; weights have no unit."""
 
-    period: float = 0.1  # between two calls
-    mount: float = 0.12  # of the LIDAR ahead of the robot's centre
-    radius: float = 0.31  # of the disc around the robot's footprint
-    acceleration: float = 6.5  # that the tyres give [m/s2]
-    turn_time: float = 0.25  # in which a small change of direction is to be done
+    longest_period: float = 0.5  # between two calls: a person walks 0.7 m meanwhile
+    acceleration: float = 3.25  # that the tyres give, in top speeds a second: the shipped robots' all [1/s]
+    turn_time: float = 0.25  # in which a small change of direction is to be done; at least 1.25 periods
     turn_lag: float = 0.1  # before the robot turns
 
     # histogram
-    sector_beams: int = 10  # beams of a sector of the histogram
-    clearance: float = 0.45  # half the width that a free way has
+    sector: float = 3.75  # of the histogram [deg]
+    clearance: float = 0.14  # that a free way has to either side of the robot
     lookahead: float = 6.0  # farther than this nothing blocks
     blocked_weight: float = 12.0  # of a way's blocked share, against radians off the goal
     keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
@@ -54,16 +52,19 @@ class VfhConfig:
     person_beams: int = 4  # that an object must have to be a person
     person_error: float = 0.025  # that a person's outline may be off a circle, root mean square
     object_jump: float = 0.25  # between neighbouring beams' ranges that parts two objects
-    match_distance: float = 0.4  # between where a person is expected and seen
-    velocity_gain: float = 0.4  # of a new velocity in the estimate, at least
-    memory: float = 2.0  # how long an unseen person is believed in
+    match_distance: float = 0.2  # between where a person is expected and seen, beside what follows
+    match_speed: float = 2.0  # of somebody whose velocity is not known, as far as the match goes [m/s]
+    least_match: float = 0.4  # what both make is at least this
+    velocity_gain: float = 0.4  # of a new velocity in the estimate, at least, in 0.1 s
+    memory: float = 2.0  # how long an unseen person is believed in where the scanner can't see
+    missing: float = 0.2  # and where it can
 
     # motions
     horizon: float = 2.6
     step: float = 0.2  # of a motion's rollout
-    speeds: tuple = (0.0, 0.7, 1.4, 2.0)  # ahead [m/s]
+    speeds: tuple = (0.0, 0.35, 0.7, 1.0)  # ahead, shares of the top speed
     directions: tuple = (0.0, 7.0, 15.0, 26.0, 42.0, 65.0, 100.0)  # to either side [deg]
-    back_speeds: tuple = (-0.7, -1.5)  # [m/s]
+    back_speeds: tuple = (-0.35, -0.75)  # likewise
     back_directions: tuple = (0.0, 45.0)  # to either side [deg]
     person_gap: float = 0.7  # to a person, below which a motion costs
     wall_gap: float = 0.35  # to a wall, below which a motion costs
@@ -78,16 +79,27 @@ class VfhConfig:
 class Vfh:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, config=VfhConfig(), lidar=Lidar2D(), robot=JACKAL.config):
-        self.config, self._limit = config, np.array([robot.max_speed, robot.max_yaw_rate])
-        self._angles = lidar.angles
-        self._beam_directions = _unit(lidar.angles)
+    def __init__(self, setting: Setting | None = None, config=VfhConfig()):
+        setting = Setting.default() if setting is None else setting
+        setting.check_period(config.longest_period)
+        self.config, self._limit, self._period = config, setting.top, setting.control_period
+        self.radius = round(setting.robot.radius, 2)  # of the disc around the footprint [m]
+        self._clearance = self.radius + config.clearance
+        self._scan = Scan(setting, config.longest_period)
+        self._sector = self._scan.beams_in(math.radians(config.sector))
+        self._gain = 1.0 - (1.0 - config.velocity_gain) ** (self._scan.period / 0.1)
+        self._match = max(config.least_match, config.match_distance + config.match_speed * self._scan.period)
+        self._missing = max(1, round(config.missing / self._scan.period))
+        self._acceleration = config.acceleration * setting.built_for[0]
+        self._turn_time = max(config.turn_time, 1.25 * self._period)
         self._prepare_motions()
         self.reset()
 
     def reset(self, seed=None):
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._yaw, self._goal, self._rate = 0.0, None, 0.0
+        self._steps, self._old = 0, 0  # since the episode began, and since the last scan
+        self._met = np.zeros((0, 2))  # that scan's walls
         self._position = np.zeros(2)  # of the robot, in a frame that has the goal at 0 and the first yaw
         self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
@@ -96,26 +108,38 @@ class Vfh:
 
     def __call__(self, observation):
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
-        scan = np.asarray(observation["lidar"], float)
         self._localise(goal, velocity)
-        centres, beams = self._find_people(scan)
-        self._track(centres @ self._rotation.T + self._position, scan)
-        walls = self._walls(scan, beams)
+        self._old = self._steps % self._scan.every
+        self._steps += 1
+        if self._old:
+            walls = (self._met - self._position) @ self._rotation
+        else:
+            walls = self._look(self._scan.read(observation))
         target = self._steer(goal, walls)
         return self._move(target, velocity, walls)
 
     @property
     def people(self):
         """Positions and velocities (n, 2) of the people believed in, robot frame's axes [m, m/s]."""
-        return (self._seen_at - self._position) @ self._rotation, self._seen_velocity @ self._rotation
+        places = self._seen_at + self._old * self._period * self._seen_velocity if self._old else self._seen_at
+        return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation
+
+    def _look(self, scan):
+        """Updates the people believed in by a new `scan` (beams,) [m]; the walls (sectors, 2) [m], robot frame."""
+        centres, beams = self._find_people(scan)
+        self._track(centres @ self._rotation.T + self._position, scan)
+        walls = self._walls(scan, beams)
+        if self._scan.every > 1:
+            self._met = walls @ self._rotation.T + self._position
+        return walls
 
     # --- where the robot is
 
     def _localise(self, goal, velocity):
         """Updates yaw and position from how the goal's position changed; near the goal from the yaw rate."""
         if self._goal is not None:
-            way = velocity[0] * self.config.period
-            turn = (self._rate + velocity[1]) / 2 * self.config.period
+            way = velocity[0] * self._period
+            turn = (self._rate + velocity[1]) / 2 * self._period
             if np.hypot(*goal) > 1.0:
                 before = self._goal - way * np.array([math.cos(turn / 2), math.sin(turn / 2)])
                 turn = _wrap(math.atan2(before[1], before[0]) - math.atan2(goal[1], goal[0]))
@@ -138,7 +162,7 @@ class Vfh:
         parted = (beams[1:] - beams[:-1] > 1) | (np.abs(ranges[1:] - ranges[:-1]) > c.object_jump)
         starts = np.concatenate([[0], np.flatnonzero(parted) + 1])
         counts = np.diff(np.append(starts, len(beams)))
-        points = ranges[:, None] * self._beam_directions[beams]
+        points = ranges[:, None] * self._scan.directions[beams]
         first, last = points[starts], points[starts + counts - 1]
         squared_size = ((last - first) ** 2).sum(axis=1)
         likely = (counts >= c.person_beams) & (squared_size < (2.1 * c.person_radius) ** 2)
@@ -146,10 +170,10 @@ class Vfh:
             return np.zeros((0, 2)), met
         chosen = np.repeat(likely, counts)
         beams, points, counts = beams[chosen], points[chosen], counts[likely]
-        centres, error = self._fit_circles(points, self._angles[beams], counts)
+        centres, error = self._fit_circles(points, self._scan.angles[beams], counts)
         person = error < c.person_error
         met[beams[np.repeat(person, counts)]] = True
-        return centres[person] + [c.mount, 0.0], met
+        return centres[person] + self._scan.place, met
 
     def _fit_circles(self, points, angles, counts):
         """Least-squares centres (n, 2) of circles of a person's radius, and the root-mean-square errors (n,) [m].
@@ -180,18 +204,18 @@ class Vfh:
     def _track(self, seen, scan):
         """Matches the people `seen` (n, 2), goal-bound frame, with those believed in, and updates these."""
         c = self.config
-        expected = self._seen_at + self._seen_velocity * c.period
-        old, new = _match(expected, seen, c.match_distance)
+        expected = self._seen_at + self._seen_velocity * self._scan.period
+        old, new = _match(expected, seen, self._match)
         sightings = self._sightings[old] + 1
-        measured = (seen[new] - self._seen_at[old]) / c.period
-        gain = np.maximum(1.0 / np.maximum(sightings - 1, 1), c.velocity_gain)[:, None]
+        measured = (seen[new] - self._seen_at[old]) / self._scan.period
+        gain = np.maximum(1.0 / np.maximum(sightings - 1, 1), self._gain)[:, None]
         gain = np.where(self._unseen[old, None] > 0, 0.0, gain)
         velocity = self._seen_velocity[old] + gain * (measured - self._seen_velocity[old])
 
         lost = np.ones(len(expected), bool)
         lost[old] = False
-        lost &= self._unseen * c.period < c.memory
-        lost &= self._hidden(expected, scan) | (self._unseen < 2)
+        lost &= self._unseen * self._scan.period < c.memory
+        lost &= self._hidden(expected, scan) | (self._unseen < self._missing)
         fresh = np.ones(len(seen), bool)
         fresh[new] = False
         count = int(fresh.sum())
@@ -202,11 +226,10 @@ class Vfh:
 
     def _hidden(self, places, scan):
         """Whether the scanner can't see each of `places` (n, 2), goal-bound frame."""
-        offset = (places - self._position) @ self._rotation - [self.config.mount, 0.0]
+        offset = (places - self._position) @ self._rotation - self._scan.place
         angle, distance = np.arctan2(offset[:, 1], offset[:, 0]), np.hypot(offset[:, 0], offset[:, 1])
-        edge = self._angles[-1]
-        beam = np.clip(np.rint((angle + edge) / (2 * edge) * (len(scan) - 1)), 0, len(scan) - 1).astype(int)
-        return (np.abs(angle) > edge) | (scan[beam] < distance + self.config.person_radius)
+        nearer = scan[self._scan.beam_at(angle)] < distance + self.config.person_radius
+        return ~self._scan.sees(angle) | nearer | (distance > self._scan.reach)
 
     # --- walls
 
@@ -217,9 +240,7 @@ class Vfh:
             if len(rest):
                 scan = scan.copy()
                 scan[hidden] = np.interp(hidden, rest, scan[rest])
-        sectors = scan.reshape(-1, self.config.sector_beams)
-        nearest = sectors.argmin(axis=1) + np.arange(len(sectors)) * self.config.sector_beams
-        return scan[nearest, None] * self._beam_directions[nearest] + [self.config.mount, 0.0]
+        return self._scan.points(scan, self._scan.nearest(scan, self._sector))
 
     def _steer(self, goal, walls):
         """The point (2,) [m] to drive to, robot frame: the goal, or one in the direction of least cost."""
@@ -227,12 +248,12 @@ class Vfh:
         distance, bearing = np.hypot(*goal), math.atan2(goal[1], goal[0])
         reach = min(distance, c.lookahead)
         ranges = np.hypot(walls[:, 0], walls[:, 1])
-        near = ranges < c.lookahead + c.clearance
+        near = ranges < c.lookahead + self._clearance
         blocking, blocking_ranges = walls[near], ranges[near]
         free = self._free_way(np.array([bearing]), blocking, blocking_ranges)[0]
         if not len(blocking):
             self._follow = None
-        if self._follow is not None and abs(bearing) <= self._angles[-1]:
+        if self._follow is not None and self._scan.sees(bearing):
             if free >= min(reach, c.leave_free) - 0.2 and distance < self._follow[1] - c.follow_gain:
                 self._follow = None
         if self._follow is None and free >= reach - 0.2:
@@ -260,7 +281,7 @@ class Vfh:
             return np.full(len(directions), c.lookahead)
         ux, uy = np.cos(directions)[:, None], np.sin(directions)[:, None]
         along = ux * points[:, 0] + uy * points[:, 1]
-        half = along**2 - (ranges**2 - np.minimum(c.clearance, 0.95 * ranges) ** 2)  # of the chord, squared
+        half = along**2 - (ranges**2 - np.minimum(self._clearance, 0.95 * ranges) ** 2)  # of the chord, squared
         meets = (half > 0) & (along > 0)
         free = np.where(meets, along - np.sqrt(np.maximum(half, 0.0)), c.lookahead)
         return np.minimum(free.min(axis=1), c.lookahead)
@@ -291,14 +312,15 @@ class Vfh:
         ahead = [math.radians(sign * d) for d in c.directions for sign in ((1, -1) if d else (1,))]
         back = [math.radians(sign * d) for d in c.back_directions for sign in ((1, -1) if d else (1,))]
         pairs = [(v, d) for v in c.speeds for d in ahead] + [(v, d) for v in c.back_speeds for d in back]
-        self._speeds, self._directions = np.array(pairs).T
-        rate = np.clip(self._directions / c.turn_time, -self._limit[1], self._limit[1])
+        shares, self._directions = np.array(pairs).T
+        self._speeds = shares * self._limit[0]
+        rate = np.clip(self._directions / self._turn_time, -self._limit[1], self._limit[1])
         self._rates = rate
         self._times = c.step * np.arange(1, round(c.horizon / c.step) + 1)
         turned = np.maximum(self._times - c.step / 2 - c.turn_lag, 0.0) * np.abs(rate)[:, None]
         heading = np.sign(self._directions)[:, None] * np.minimum(turned, np.abs(self._directions)[:, None])
         self._headings = np.moveaxis(_unit(heading), -1, 0) * c.step
-        self._speed_change = c.acceleration * (self._times - c.step / 2)  # at most, by the middle of each step
+        self._speed_change = self._acceleration * (self._times - c.step / 2)  # at most, by the middle of each step
         self._discount = np.exp(-self._times / c.patience)
         self._discount /= self._discount.sum()
 
@@ -324,7 +346,7 @@ class Vfh:
         best = int(np.argmin(cost))
         direction, rate = self._directions[best], self._rates[best]
         if self._speeds[best] > 0 and abs(direction - bearing) < math.radians(5.0):
-            direction, rate = bearing, bearing / c.turn_time  # between two candidates
+            direction, rate = bearing, bearing / self._turn_time  # between two candidates
         self._moved = self._yaw + direction
         return np.clip(np.array([self._speeds[best], rate]) / self._limit, -1.0, 1.0)
 
@@ -346,12 +368,12 @@ class Vfh:
         place, velocity = place[near].T[:, :, None], velocity[near].T[:, :, None]
         x, y = place + velocity * self._times  # (people, T)
         squared = (way[0][None] - x[:, None]) ** 2 + (way[1][None] - y[:, None]) ** 2
-        return np.sqrt(squared.min(axis=0)) - (c.radius + c.person_radius)
+        return np.sqrt(squared.min(axis=0)) - (self.radius + c.person_radius)
 
     def _wall_gaps(self, way, walls):
         """Least gaps (n, T) [m] between motions `way` (2, n, T) and the points `walls` (m, 2); None: none near."""
         c = self.config
-        reach = self._limit[0] * c.horizon + c.wall_gap + c.radius
+        reach = self._limit[0] * c.horizon + c.wall_gap + self.radius
         near = walls[(walls**2).sum(axis=1) < reach**2]
         if not len(near):
             return None
@@ -359,7 +381,7 @@ class Vfh:
         # |w - p|^2 = |p|^2 - 2 p.w + |w|^2 as a matrix product
         points = np.column_stack([-2.0 * near, np.ones(len(near)), (near**2).sum(axis=1)]).astype(np.float32)
         squared = (points @ np.stack([x, y, x * x + y * y, np.ones_like(x)])).min(axis=0)
-        return np.sqrt(np.maximum(squared, 0.0)).reshape(way.shape[1:]) - c.radius
+        return np.sqrt(np.maximum(squared, 0.0)).reshape(way.shape[1:]) - self.radius
 
 
 def _unit(angles):

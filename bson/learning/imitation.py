@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import torch
 
+from bson.agents.contract import Setting, made_for
+from bson.episodes.record import Recorder
+from bson.episodes.session import Session
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
 from bson.metrics import sns
-from bson.session import Recorder, Session
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,19 +29,23 @@ class BcConfig:
 def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
     """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
     actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
+    setting = Setting.of(config, track)
+    agent = made_for(expert, setting)
     session = Session(config, track, nworld, seeds=[seed + index for index in range(nworld)])
-    everyone, features, agent = np.arange(nworld), Features(nworld), expert()
-    x = features.begin(everyone, session.reset(everyone, session.next_seeds(everyone)))
+    everyone = np.arange(nworld)
+    features, its = Features(nworld, setting.top), Features(nworld, agent.top)
+    begun = session.reset(everyone, session.next_seeds(everyone))
+    x, its_x = features.begin(everyone, begun), its.begin(everyone, begun)
     recorders = [Recorder(session, index) for index in everyone]
     seen, done = [([], []) for _ in everyone], []
     collected = 0
     while collected < steps:
-        action = agent.act(x)
+        action = agent.act(its_x)
         for index in everyone:
             seen[index][0].append(x[index])
             seen[index][1].append(action[index])
         observation, _, terminated, truncated = session.step(everyone, action)
-        x = features.step(everyone, observation)
+        x, its_x = features.step(everyone, observation), its.step(everyone, observation)
         for index in everyone:
             recorders[index].snap()
         ended = np.flatnonzero(terminated | truncated)
@@ -50,7 +56,8 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
             collected += len(seen[index][0])
             seen[index] = ([], [])
         if len(ended):
-            x[ended] = features.begin(ended, session.reset(ended, session.next_seeds(ended)))
+            begun = session.reset(ended, session.next_seeds(ended))
+            x[ended], its_x[ended] = features.begin(ended, begun), its.begin(ended, begun)
             for index in ended:
                 recorders[index] = Recorder(session, index)
         if progress:

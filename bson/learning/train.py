@@ -13,7 +13,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
+from bson.agents.contract import Setting
 from bson.evaluate import run_episodes, sound, versions
+from bson.evaluation.executors import carried_agent, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
@@ -24,10 +26,13 @@ from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import start
 from macid.documents import read_document
+from macid.executors import Carried
 from macid.files import UsageError, lock_folder
 from macid.learning.curves import (
     CHECKPOINT,
     FILES,
+    Board,
+    check_tensorboard,
     damaged,
     plain,
     read_checkpoint,
@@ -36,6 +41,7 @@ from macid.learning.curves import (
     write_checkpoint,
     write_curve,
 )
+from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES, write_network
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
@@ -99,10 +105,12 @@ class TrainConfig:
 
 
 class _Keeper:
-    """Writes policy.npz and policy.json of a training, of what did best on the validation episodes, and curve.csv."""
+    """Writes policy.npz and policy.json of a training, of what did best on the validation episodes, and curve.csv.
+
+    board: the curves.Board that gets the curve and the validations too, once there is one."""
 
     def __init__(self, config, folder):
-        self.config, self.folder = config, folder
+        self.config, self.folder, self.board = config, folder, None
         self.curve, self.validations, self.best, self.spent = [], [], None, 0.0
         self._begin = time.monotonic()
 
@@ -130,19 +138,24 @@ class _Keeper:
                 raise KeyboardInterrupt
 
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
-        agent, config = functools.partial(learned.Learned, layers, output), self.config
+        config = self.config
+        agent = functools.partial(learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist()))
         episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
+        if self.board:
+            self.board.write({"steps": steps, **{f"validation/{name}": score for name, score in scores.items()}})
         if self.best is None or scores["SNS"] > self.best["validation"]["SNS"]:
             self.best = {"layers": layers, "output": output, "steps": steps, "validation": scores}
         return scores
 
-    def log(self, row):
-        """Adds `row`, {name: number}, to the curve."""
+    def log(self, row, more=None):
+        """Adds `row`, {name: number}, to the curve. more: what only the board gets, of the same kind."""
         self.curve.append(row)
         write_curve(self.folder / "curve.csv", self.curve)
+        if self.board:
+            self.board.write(row | (more or {}))
 
     def write(self, steps):
         """Writes the best policy so far, with its recipe."""
@@ -153,6 +166,7 @@ class _Keeper:
             "steps_done": steps,
             "seconds": round(self.seconds, 1),
             "output": best["output"],
+            "setting": learned.setting_document(Setting.of(self.config.setting, _TRACK)),
             "from_steps": best["steps"],
             "validation": best["validation"],
             "validations": self.validations,
@@ -186,7 +200,8 @@ class _Progress(BaseCallback):
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
             means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
-            keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means})
+            losses = {k: v for k, v in self.logger.name_to_value.items() if isinstance(v, int | float | np.number)}
+            keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means}, losses)
             self._show(steps, means)
         if steps // keeper.config.validate_every > len(keeper.validations):
             scores = _validate(self.model, keeper, self._interrupted)
@@ -257,11 +272,18 @@ def is_done(config, folder):
 
 @one_thread()
 def train(
-    config, out, resume=False, show=lambda steps, figures, validation=False: None, seconds_between_checkpoints=120
+    config,
+    out,
+    resume=False,
+    show=lambda steps, figures, validation=False: None,
+    seconds_between_checkpoints=120,
+    tensorboard=False,
 ):
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and, once
     episodes have ended, curve.csv.
 
+    tensorboard: whether the curve, the validations and stable-baselines3's losses are logged for TensorBoard too (see
+    macid.learning.curves.Board).
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
     the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints: it
@@ -269,19 +291,23 @@ def train(
     `resume`, this one's, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
-    with lock_folder(path, FILES, alone=("config.json",)):
-        return _train(config, path, resume, show, seconds_between_checkpoints)
+    if tensorboard:
+        check_tensorboard()
+    with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
+        return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
 
-def _train(config, path, resume, show, seconds_between_checkpoints):
-    """`train` in the folder `path`, which is locked."""
+def _train(config, path, resume, show, seconds_between_checkpoints, held):
+    """`train` in the folder `path`, which is locked. held: an ExitStack that closes a Board, or None."""
     folder = training_folder(path, config, resume)
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
+    model = None if config.algo == "bc" else _restored(keeper)
+    if held is not None:
+        keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
     if config.algo == "bc":
         return _train_bc(config, keeper, show)
-    model = _restored(keeper)
     resumed = model is not None
     if resumed:
         show(model.num_timesteps, {})
@@ -301,7 +327,7 @@ def _train(config, path, resume, show, seconds_between_checkpoints):
     return folder
 
 
-def train_with_bar(config, out, resume=False):
+def train_with_bar(config, out, resume=False, tensorboard=False):
     """`train` with a progress bar on stderr, and a line for each validation."""
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
@@ -315,10 +341,40 @@ def train_with_bar(config, out, resume=False):
             bar.set_postfix_str(text, refresh=True)
 
         try:
-            return train(config, out, resume, show)
+            return train(config, out, resume, show, tensorboard=tensorboard)
         finally:
             if bar.n:  # tqdm does not end the line of a bar that was only refreshed
                 print(file=sys.stderr)
+
+
+def train_apart(executor, configs, out, resume=False):
+    """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
+    `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
+    carried, done = Carried(), {}
+    for config in configs:
+        carried += carried_task(config.setting)
+        expert = getattr(config.hyperparameters, "expert", "")
+        carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
+    with tqdm(
+        total=sum(config.steps for config in configs), unit="step", unit_scale=True, desc=configs[0].name, file=sys.stderr
+    ) as bar:
+
+        def show(config, steps, figures, validation=False):
+            done[folder_of(config)] = min(steps, config.steps)
+            bar.n = sum(done.values())
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{folder_of(config)}: {steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text, refresh=True)
+
+        groups = [Group(_train_here, (config,)) for config in configs]
+        return train_groups(executor, groups, out, resume, show, is_done, carried)
+
+
+def _train_here(configs, out, show):
+    """The `train` of a Group (macid.learning.jobs)."""
+    for config in configs:
+        train(config, out, resume=True, show=show)
 
 
 def _train_bc(config, keeper, show):

@@ -122,7 +122,9 @@ class FeatureVecEnv(_Worlds):
 
     def __init__(self, num_envs, seed, nthread=0, **config):
         self._env = BsonVectorEnv(num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config)
-        self._features, self._all = Features(num_envs), np.arange(num_envs)
+        robot = self._env.config.robot
+        self._features = Features(num_envs, (robot.max_speed, robot.max_yaw_rate))
+        self._all = np.arange(num_envs)
         self._returns, self.render_mode = np.zeros(num_envs), None
         space = gymnasium.spaces.Box(-10.0, 10.0, (FEATURES,), np.float32)
         super().__init__(num_envs, space, self._env.single_action_space)

@@ -101,6 +101,11 @@ class Grid:
         return ndimage.label(~self.occupied)[0]  # by sides: a diagonal that cuts no corner has a way around by sides
 
     @functools.cached_property
+    def moves(self):
+        """What `macid.routing.grid_graph` has of the grid: the free cells' numbers and the graph of moves [cells]."""
+        return routing.grid_graph(self.occupied)
+
+    @functools.cached_property
     def _closed(self):
         """What is occupied (2 rows + 1, 2 columns + 1): cells at odd indices, the lines and points around them at even.
 

@@ -38,6 +38,19 @@ class PurePursuit:
             if not value > 0:
                 raise ValueError(f"{name} must be positive, not {value!r}.")
 
+    @classmethod
+    def of(cls, robot, period):
+        """The follower for a RobotConfig that decides every `period` [s]: within its limits, it looks as far ahead, and
+        turns as slowly, as it needs to decide again in between."""
+        speed = min(cls.max_speed, robot.max_speed)
+        return cls(
+            lookahead=max(cls.lookahead, 2.5 * speed * period),
+            max_speed=speed,
+            max_yaw_rate=robot.max_yaw_rate,
+            min_speed=min(cls.min_speed, speed),
+            turn_time=max(cls.turn_time, 1.5 * period),
+        )
+
     def __call__(self, pose, path):
         """The command (v [m/s], w [rad/s]) at `pose` (3,) (x, y, yaw) for `path` (N, 2); (0, 0) at its end.
 

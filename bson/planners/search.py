@@ -5,6 +5,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+
+from macid.routing import shortest
+
+_TIE = 1e-9  # ways whose costs differ by less than this share are equal
+_DETOUR = 1.3  # a way is first looked for at up to this times the bee line's length
 
 
 @dataclass(frozen=True)
@@ -26,65 +32,68 @@ class AStarConfig(DijkstraConfig):
 
 def dijkstra(grid, rate, start, goal, rng, config, known):
     """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. The others have no effect."""
-    return _search(grid, rate, start, goal, np.zeros(grid.shape))
+    return _search(grid, rate, start, goal, 0.0)
 
 
 def astar(grid, rate, start, goal, rng, config, known):
     """As `dijkstra`, with AStarConfig's heuristic."""
-    (x, y), (rows, columns) = np.floor(goal), grid.shape
-    dx, dy = np.abs(np.arange(columns) - x), np.abs(np.arange(rows) - y)[:, None]
-    octile = np.maximum(dx, dy) + (math.sqrt(2.0) - 1.0) * np.minimum(dx, dy)
-    return _search(grid, rate, start, goal, config.weight * octile)
+    return _search(grid, rate, start, goal, config.weight)
 
 
-def _search(grid, rate, start, goal, heuristic):
-    """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for their cells' centres.
+def _search(grid, rate, start, goal, weight):
+    """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for those of theirs.
 
-    A step to one of eight neighbours costs its length times the mean of both cells' rates.
+    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic, the
+    octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
     """
-    columns = grid.shape[1]
-    width = columns + 2  # with a rim of occupied cells, so that no step needs to look for the map's edge
-
-    def flat(array, rim):
-        return np.pad(array, 1, constant_values=rim).ravel().tolist()
-
-    free, heuristic = flat(~grid.occupied, False), flat(heuristic, 0.0)
-    rate = flat(np.ones(grid.shape) if rate is None else rate, 1.0)
-    still_open = free.copy()
-    first, last = ((int(y) + 1) * width + int(x) + 1 for x, y in (start, goal))
-    cost, before = [math.inf] * len(free), {}
-    cost[first] = 0.0
-    heap = [(heuristic[first], first)]
-    while True:
-        _, cell = heapq.heappop(heap)
-        if not still_open[cell]:
-            continue
-        still_open[cell] = False
-        if cell == last:
-            break
-        here, half = cost[cell], 0.5 * rate[cell]
-        up, down, right, left = free[cell + width], free[cell - width], free[cell + 1], free[cell - 1]
-        for step, length, allowed in (
-            (width, 1.0, up),
-            (-width, 1.0, down),
-            (1, 1.0, right),
-            (-1, 1.0, left),
-            (width + 1, math.sqrt(2.0), up and right),
-            (width - 1, math.sqrt(2.0), up and left),
-            (1 - width, math.sqrt(2.0), down and right),
-            (-1 - width, math.sqrt(2.0), down and left),
-        ):
-            neighbour = cell + step
-            if allowed and still_open[neighbour]:
-                there = here + length * (half + 0.5 * rate[neighbour])
-                if there < cost[neighbour]:
-                    cost[neighbour] = there
-                    before[neighbour] = cell
-                    heapq.heappush(heap, (there + heuristic[neighbour], neighbour))
-    cells = [last]
-    while cells[-1] != first:
-        cells.append(before[cells[-1]])
-    cells = np.array(cells[::-1])
+    number, moves = grid.moves
+    rows, columns = np.nonzero(~grid.occupied)
+    first, last = (int(number[int(y), int(x)]) for x, y in (start, goal))
+    graph = moves if rate is None else _priced(moves, rate[rows, columns])
+    dx, dy = np.abs(columns - np.floor(goal[0])), np.abs(rows - np.floor(goal[1]))
+    octile = np.maximum(dx, dy) + (math.sqrt(2.0) - 1.0) * np.minimum(dx, dy)
+    to_look_at = np.ones(len(octile), bool)
+    if weight <= 1:  # then the least cost is found, and only cells on ways of that cost matter
+        there, _ = shortest(graph, first, last, _DETOUR * octile[first])
+        least = (1 + _TIE) * there[last]
+        back, _ = shortest(graph, last, first, least)
+        to_look_at = there + back <= least
+    cells = _way(graph, first, last, weight * octile, to_look_at)
     # The two cells of a straight step, and the four around a diagonal one, are free and convex: any point there does.
-    between = np.stack([cells % width, cells // width], axis=-1)[1:-1] - 0.5
+    between = np.stack([columns[cells], rows[cells]], axis=-1)[1:-1] + 0.5
     return np.concatenate([start[None], between, goal[None]])
+
+
+def _priced(moves, rate):
+    """The graph of what `moves` between cells cost that have each its `rate` (N,)."""
+    half = 0.5 * rate
+    costs = moves.data * (half.repeat(np.diff(moves.indptr)) + half[moves.indices])
+    return sparse.csr_matrix((costs, moves.indices, moves.indptr), shape=moves.shape)
+
+
+def _way(graph, first, last, heuristic, to_look_at):
+    """The nodes from `first` to `last` that A* finds over a sparse `graph` (N, N), with its `heuristic` (N,).
+
+    to_look_at: (N,) bool, whether a node is looked at. Of equal nodes that of the least number comes first.
+    """
+    heuristic, still_open = heuristic.tolist(), to_look_at.tolist()
+    ends, neighbours, costs = graph.indptr, graph.indices, graph.data
+    cost, before, heap = {first: 0.0}, {}, [(heuristic[first], first)]
+    while True:
+        _, node = heapq.heappop(heap)
+        if not still_open[node]:
+            continue
+        still_open[node] = False
+        if node == last:
+            break
+        here, row = cost[node], slice(ends[node], ends[node + 1])
+        for neighbour, step in zip(neighbours[row].tolist(), costs[row].tolist(), strict=True):
+            if still_open[neighbour]:
+                there = here + step
+                if there < cost.get(neighbour, math.inf):
+                    cost[neighbour], before[neighbour] = there, node
+                    heapq.heappush(heap, (there + heuristic[neighbour], neighbour))
+    way = [last]
+    while way[-1] != first:
+        way.append(before[way[-1]])
+    return way[::-1]

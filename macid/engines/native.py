@@ -7,6 +7,7 @@ import mujoco.batch
 import numpy as np
 
 from macid.engines.base import CrowdEngine, FlatState, NoOptions
+from macid.threads import physics_threads
 
 
 class NativeEngine(CrowdEngine):
@@ -14,7 +15,7 @@ class NativeEngine(CrowdEngine):
 
     def __init__(self, model, number, boxes, nworld, options=NoOptions()):
         super().__init__(model, number, boxes, nworld)
-        self._batch = mujoco.batch.Batch(model, nworld, 0)
+        self._batch = mujoco.batch.Batch(model, nworld, physics_threads())
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._warmstart, self._ctrl = self._batch.bind("qacc_warmstart"), self._batch.bind("ctrl")
 

@@ -3,17 +3,19 @@
 import dataclasses
 import json
 import pathlib
+import time
 
 import numpy as np
 
 from macid import arrays
 from macid.documents import convert, read_document
-from macid.files import UsageError, output_folder, write_bytes, write_json
+from macid.files import UsageError, check_folder, output_folder, write_bytes, write_json
 
 CHECKPOINT = "checkpoint.npz"  # arrays, and training.json: no pickle, which would run code
 FILES = ("config.json", "curve.csv", CHECKPOINT, "policy.npz", "policy.json")  # of a training
 OLD_CHECKPOINT = "checkpoint.pkl"  # of earlier versions
 _NOTED = "training"  # the document in a checkpoint
+_BOARD = "tensorboard"  # the folder of TensorBoard's logs
 
 
 def plain(config):
@@ -22,8 +24,9 @@ def plain(config):
 
 
 def completed(saved, config):
-    """A configuration that was `saved`, as `plain` has it, with the fields that it lacks, since they came later, at their
-    defaults. config: a configuration (a dataclass) of the kind."""
+    """A configuration that was `saved`, as `plain` has it; fields that it lacks, as they came later, at their defaults.
+
+    config: a configuration (a dataclass) of the kind."""
     whole = dict(saved)
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -124,3 +127,63 @@ def write_curve(path, rows):
         return
     lines = [",".join(rows[0])] + [",".join(f"{value:.6g}" for value in row.values()) for row in rows]
     write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+class Board:
+    """The curve of the training in `folder` as TensorBoard reads it, in the folder's folder `tensorboard`; in a `with`.
+
+    A row's first value is its step, the others are scalars. curve: the rows that a training which goes on has; they are
+    logged if there is no log yet. done: its steps, by default the last row's; what the log has of later ones is struck
+    out. Nothing is written before the first row. Raises UsageError where the folder can't be written.
+    """
+
+    def __init__(self, folder, curve=(), done=None):
+        self._folder, self._curve, self._writer = check_folder(pathlib.Path(folder) / _BOARD), list(curve), None
+        self._done = (next(iter(curve[-1].values())) if curve else 0) if done is None else done
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self._writer is not None:
+            self._writer.close()
+
+    def write(self, row):
+        """Adds `row`, {name: number}, and writes it to the disk."""
+        if self._writer is None:
+            self._open()
+        self._add(row)
+        self._writer.flush()
+
+    def _open(self):
+        EventFileWriter, Event, _, SessionLog = _tensorboard()
+        begun = any(self._folder.glob("events.*"))
+        self._writer = EventFileWriter(str(self._folder))
+        if begun:
+            strike = SessionLog(status=SessionLog.START)
+            self._writer.add_event(Event(wall_time=time.time(), step=int(self._done) + 1, session_log=strike))
+        else:
+            for row in self._curve:
+                self._add(row)
+
+    def _add(self, row):
+        _, Event, Summary, _ = _tensorboard()
+        (_, step), *figures = row.items()
+        values = [Summary.Value(tag=name, simple_value=float(value)) for name, value in figures]
+        self._writer.add_event(Event(wall_time=time.time(), step=int(step), summary=Summary(value=values)))
+
+
+def check_tensorboard():
+    """Raises UsageError, which says what to install, where TensorBoard isn't."""
+    _tensorboard()
+
+
+def _tensorboard():
+    """TensorBoard's writer of files, and what goes into them."""
+    try:
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.event_file_writer import EventFileWriter
+    except ModuleNotFoundError:
+        raise UsageError("--tensorboard needs tensorboard: pip install 'bson-macid[tensorboard]'.") from None
+    return EventFileWriter, Event, Summary, SessionLog

@@ -21,7 +21,9 @@ from macid.learning import ppo as learning
 from macid.learning.curves import (
     CHECKPOINT,
     FILES,
+    Board,
     check_arrays,
+    check_tensorboard,
     damaged,
     plain,
     read_checkpoint,
@@ -30,10 +32,11 @@ from macid.learning.curves import (
     write_checkpoint,
     write_curve,
 )
+from macid.learning.jobs import Group, folder_of, train_groups
 from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
-from macid.policy import INPUTS, Policy, inputs, mlp, to_velocity
+from macid.policy import INPUTS, Policy, inputs, load_policy, mlp, to_velocity
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
@@ -125,10 +128,15 @@ class TrainConfig:
 
 
 def preset(name, **fields):
-    """The TrainConfig of the preset `name`, with `fields` changed. Raises ValueError, naming the valid ones."""
+    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError, naming the
+    valid presets."""
     if name not in PRESETS:
         raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
-    return TrainConfig(**{**PRESETS[name], **fields})
+    whole = {**PRESETS[name], **fields}
+    learned = {field.name for field in dataclasses.fields(learning.PpoConfig)} & fields.keys()
+    if learned:
+        whole["ppo"] = dataclasses.replace(whole["ppo"], **{field: whole.pop(field) for field in learned})
+    return TrainConfig(**whole)
 
 
 class Walk(NamedTuple):
@@ -400,30 +408,89 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
-def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0):
+def seeds_of(config, seeds):
+    """`config` with its seed and those that follow, `seeds` in all."""
+    return [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
+
+
+def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, tensorboard=False):
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
     the first seed's. Several devices share the work, with an engine that can (MJX).
 
-    resume: goes on from the checkpoint, if there is one, exactly where it stopped; Ctrl-C leaves one, once there is
-    something to keep. Raises ValueError if it is another configuration's or another process trains there,
+    tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
+    resume: goes on from the checkpoint, if there is one, exactly where it stopped, and one seed after the other where
+    these were begun so (`train_apart`); Ctrl-C leaves one, once there is something to keep. Raises ValueError if it is
+    another configuration's or another process trains there,
     FloatingPointError if the training diverges.
 
     The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over a
     batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
     variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of two.
     """
-    configs = [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
-    paths = [pathlib.Path(out) / f"{each.name}-{each.seed}" for each in configs]
+    configs = seeds_of(config, seeds)
+    paths = [pathlib.Path(out) / folder_of(each) for each in configs]
+    if tensorboard:
+        check_tensorboard()
+    if resume and seeds > 1 and _begun_apart(paths):
+        each = [train(one, out, 1, True, show, minutes_between_checkpoints, tensorboard) for one in configs]
+        return [policy for (policy,) in each]
     with contextlib.ExitStack() as held:
         for path in paths:
             held.enter_context(lock_folder(path, FILES, alone=("config.json",)))
-        return _train(configs, paths, resume, show, minutes_between_checkpoints)
+        return _train(configs, paths, resume, show, minutes_between_checkpoints, held if tensorboard else None)
 
 
-def _train(configs, paths, resume, show, minutes_between_checkpoints):
-    """`train`, of `configs` in the folders `paths`, which are locked."""
+def _begun_apart(paths):
+    """Whether the trainings in the folders `paths` were begun one by one, each with a checkpoint of its own."""
+    if any((path / CHECKPOINT).exists() for path in paths[1:]):
+        return True
+    saved = read_checkpoint(paths[0], _Noted)
+    return saved is not None and len(saved[1]["configs"]) == 1
+
+
+def train_apart(executor, configs, out, resume=False, show=print):
+    """Trains `configs` side by side on an executor of several workers; returns their folders.
+
+    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at once, as
+    one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
+    """
+    groups, left = [], list(configs)
+    while left:
+        first = left[0]
+        saved = read_checkpoint(pathlib.Path(out) / folder_of(first), _Noted) if resume else None
+        together = saved[1]["configs"] if saved else [plain(first)]
+        group = [each for each in left if plain(each) in together]
+        if len(group) < len(together):
+            raise UsageError(
+                f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: go on "
+                "with all of them, or use another --out."
+            )
+        group = group or [first]  # of another configuration, which the training itself refuses
+        groups.append(Group(_train_here, tuple(group)))
+        left = [each for each in left if each not in group]
+    told = lambda config, line: show(f"{folder_of(config)}: {line}")
+    return train_groups(executor, groups, out, resume, told, is_done)
+
+
+def _train_here(configs, out, show):
+    """The `train` of a Group (macid.learning.jobs)."""
+    train(configs[0], out, len(configs), resume=True, show=show)
+
+
+def is_done(config, folder):
+    """Whether the training `config` has its policy, to the last step, in `folder`."""
+    try:
+        recipe = load_policy(str(folder / "policy.npz")).recipe
+    except ValueError:
+        return False
+    wanted = plain(config)
+    return recipe.get("agent_steps_done", 0) >= config.agent_steps and all(recipe.get(k) == wanted[k] for k in wanted)
+
+
+def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
+    """`train`, of `configs` in the folders `paths`, locked. held: an ExitStack that closes Boards, or None."""
     config, seeds = configs[0], len(configs)
     kind, _ = engine_kind(config.engine)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
@@ -434,6 +501,9 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
     if saved:
         states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
         show(f"resumed at iteration {len(curves[0])} of {trainer.iterations}")
+    boards = []
+    if held is not None:
+        boards = [held.enter_context(Board(*each)) for each in zip(folders, curves, strict=True)]
 
     def save():
         noted = {"configs": [plain(each) for each in configs], "curves": curves, "seconds": spent}
@@ -466,6 +536,8 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints):
                         f"Training of seed {configs[index].seed} diverged at iteration {done}: "
                         f"the {wrong[0]} is {values[wrong[0]]}."
                     )
+            for place, board in enumerate(boards):
+                board.write(curves[place][-1])
             if now - last_show > 5.0 or done == trainer.iterations:
                 last_show = now
                 figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())

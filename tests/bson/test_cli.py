@@ -4,6 +4,7 @@ import types
 import pytest
 
 from bson import cli
+from bson.benchmark import to_film
 from bson.suites import suite_names
 from macid import drawing
 
@@ -59,7 +60,7 @@ def cells(*collisions):
     ],
 )  # fmt: skip
 def test_films_are_of_the_worst_cells_and_of_the_best_episode(played, number, expected):
-    assert [(cell, episode.collisions, told) for cell, episode, told in cli._to_film(played, number)] == expected
+    assert [(cell, episode.collisions, told) for cell, episode, told in to_film(played, number)] == expected
 
 
 def test_the_same_command_gives_the_same_results(tmp_path):

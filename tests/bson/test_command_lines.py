@@ -56,6 +56,8 @@ BSON = {
         "--resume": None,
     },
     "render": {"--agent": ["stop"], "--seed": ["0"], "--step": ["0", "-1"], "--out": ["a.png", "b.gif"]},
+    "export": {"--track": ["global"], "--sensor": ["camera"], "--seed": ["0"], "--suite": ["smoke"], "--cell": ["all"],
+               "--out": ["out", "new/out"]},
     "compare": {"--out": ["out"]},
     "leaderboard": {"--readme": ["page.md"]},
     "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"], "--out": ["runs"],
@@ -71,6 +73,8 @@ MACID = {
     },
     "watch": {"--pedestrian": ["orca"], "--level": ["1"], "--seed": ["0"], "--seconds": ["1"], "--period": ["0.1"],
               "--speed": ["2"], "--follow": ["3"], "--at": ["0"], "--scale": ["0.5"], "--out": ["a.gif"]},
+    "export": {"--level": ["1"], "--map": ["hall"], "--people": ["3"], "--seed": ["0"], "--period": ["0.1"], "--lcf": ["0"],
+               "--out": ["out", "new/out"]},
     "train": {"--method": ["macid", "ipo"], "--engine": ["native"], "--level": ["1"], "--seed": ["0"], "--seeds": ["2"],
               "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"], "--out": ["runs"],
               "--resume": None},
@@ -88,7 +92,7 @@ def command_lines(draw, commands, program):
     words, flags = [command], commands[command]
     if program == "bson" and command in ("evaluate", "demo"):
         words += TINY
-    if program == "bson" and command in ("evaluate", "demo", "render", "train"):
+    if program == "bson" and command in ("evaluate", "demo", "render", "export", "train"):
         words += SETS
         for _ in range(draw(st.integers(0, 2))):
             value = draw(st.one_of(st.sampled_from(VALUES), st.sampled_from(BROKEN), st.text(max_size=5)))

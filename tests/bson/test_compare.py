@@ -8,16 +8,15 @@ import pytest
 from bson import cli
 from bson.compare import (
     LEAST_PAIRS,
-    Run,
     check_comparable,
     compare,
     differences,
     format_comparison,
-    load_run,
     make_page,
 )
 from bson.leaderboard import BEGIN, END, fill_readme, leaderboard
 from bson.metrics import summarise
+from bson.results import Results
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=30"]
 
@@ -34,12 +33,12 @@ def folders(tmp_path_factory):
 
 @pytest.fixture
 def runs(folders):
-    """The two as Runs, to be changed at will."""
-    return [load_run(folders / "stop"), load_run(folders / "goal")]
+    """The two, to be changed at will."""
+    return [Results.load(folders / "stop"), Results.load(folders / "goal")]
 
 
 def _run(agent, rows, **changes):
-    """A Run whose episodes `rows` are {(cell, seed): {metric: value}}."""
+    """Results whose episodes `rows` are {(cell, seed): {metric: value}}."""
     cells = dict.fromkeys(cell for cell, _ in rows)
     summary = summarise([{name: np.inf if v is None else v for name, v in row.items()} for row in rows.values()])
     content = {
@@ -56,7 +55,7 @@ def _run(agent, rows, **changes):
         "episodes": [{"cell": cell, "seed": seed, **row} for (cell, seed), row in rows.items()],
         "faults": [],
     }
-    return Run(f"results/{agent}", content | changes)
+    return Results(content | changes, f"results/{agent}")
 
 
 def _scores(agent, scores, cell="all", **changes):

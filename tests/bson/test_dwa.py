@@ -9,7 +9,7 @@ from bson.sensors import Lidar2D
 from macid import geometry
 from macid.state import RADIUS
 
-LIDAR, CONFIG = Lidar2D(), DwaConfig()
+LIDAR, CONFIG, MOUNT = Lidar2D(), DwaConfig(), 0.12
 PERIOD, TOP = 0.1, np.array([2.0, 2.0])
 WALL = np.array([[6.0, 0.0, 0.1, 9.0, 0.0]])  # across the way, at x = 5.9
 
@@ -17,7 +17,7 @@ WALL = np.array([[6.0, 0.0, 0.1, 9.0, 0.0]])  # across the way, at x = 5.9
 def observe(pose=(0.0, 0.0, 0.0), goal=(20.0, 0.0), people=(), boxes=(), velocity=(0.0, 0.0)):
     """What a robot at `pose` observes of `goal`, `people` (K, 2) and `boxes` (B, 5) in the world frame."""
     pose, people, boxes = (np.asarray(each, float) for each in (pose, people, boxes))
-    eye = pose[:2] + geometry.rotate(np.array([CONFIG.mount, 0.0]), pose[2])
+    eye = pose[:2] + geometry.rotate(np.array([MOUNT, 0.0]), pose[2])
     rays = geometry.heading(pose[2] + LIDAR.angles)
     met = geometry.ray_disc_distance(eye, rays, people.reshape(-1, 2), RADIUS)
     hit = geometry.ray_box_distance(eye, rays, boxes.reshape(-1, 5))
@@ -69,7 +69,7 @@ def drive(steps, goal=(20.0, 0.0), people=(), boxes=()):
 
 def test_in_the_open_it_drives_straight_to_the_goal_at_full_speed():
     assert Dwa()(observe(velocity=(2.0, 0.0))) == pytest.approx([1.0, 0.0])
-    assert Dwa()(observe()) == pytest.approx([CONFIG.acceleration * PERIOD / 2.0, 0.0])  # as fast as it can
+    assert Dwa()(observe()) == pytest.approx([CONFIG.acceleration * PERIOD, 0.0])  # as fast as it can
     poses, _ = drive(120)
     assert len(poses) < 110 and np.abs(poses[:, 1]).max() < 1e-6
 
@@ -116,7 +116,7 @@ def test_it_can_always_stop_on_its_arc():
         if gap < 0.3 or speed <= 0:
             continue
         driving += 1
-        duration = PERIOD + speed / (2 * CONFIG.braking)  # at the present speed, as long as it takes to stop
+        duration = PERIOD + speed / (2 * CONFIG.braking * TOP[0])  # at the present speed, as long as it takes to stop
         for time in np.linspace(0, duration, 12):
             chord = speed * time * np.sinc(rate * time / 2 / np.pi)
             pose = np.array([chord * np.cos(rate * time / 2), chord * np.sin(rate * time / 2), rate * time])

@@ -284,7 +284,7 @@ def test_where_physics_fails_the_episode_is_cut_off_and_no_policy_sees_it(tmp_pa
     last, _, _, truncated, info = env.step(action)
     many.step([action, action])
     assert not truncated and info["fault"] == ""
-    env.world._qvel[0, 1] = many.world._qvel[1, 1] = np.nan
+    env.world.engine.qvel[0, 1] = many.world.engine.qvel[1, 1] = np.nan
     observation, reward, terminated, truncated, info = env.step(action)
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert "person0/y" in info["fault"] and same(observation, last)

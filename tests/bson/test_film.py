@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bson import film, robot
-from bson.metrics import Episode
+from bson.episodes.record import Episode
 from macid import drawing, scene
 
 PROBLEM = drawing.gl_problem()

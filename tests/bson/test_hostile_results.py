@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from bson import cli
 from bson.agents import AgentError, act, load_agent
-from bson.compare import compare, format_comparison, load_run, make_page
+from bson.compare import compare, format_comparison, make_page
 from bson.features import FEATURES
 from bson.leaderboard import leaderboard
 from bson.metrics import METRICS
-from bson.results import Results, read_results
+from bson.results import Content, Results, read_results
 from macid.documents import MOST_NUMBER
 from macid.files import UsageError
 from macid.policy import write_network
@@ -64,7 +64,7 @@ def ends_well(folder, content):
         good.write_text(json.dumps(GOOD))
     theirs.write_bytes(content)
     try:
-        runs = [load_run(good), load_run(theirs)]
+        runs = [Results.load(good), Results.load(theirs)]
     except UsageError as error:
         one_line(error, printable=True)
         assert "theirs.json" in str(error)
@@ -165,7 +165,7 @@ def test_what_is_wrong_is_named_by_both_commands(tmp_path, capsys, content, told
     for command in (["compare", "--out", str(tmp_path / "out")], ["leaderboard"]):
         assert cli.main([command[0], str(tmp_path / "good"), str(tmp_path / "theirs"), *command[1:]]) == 2
         with pytest.raises(UsageError, match=told):
-            load_run(tmp_path / "theirs")
+            Results.load(tmp_path / "theirs")
         error = capsys.readouterr().err
         assert "theirs" in error and len(error.splitlines()) == 1
     assert not (tmp_path / "out").exists()
@@ -182,7 +182,7 @@ def test_every_metric_is_in_the_schema_and_large_numbers_are_compared(tmp_path):
         (tmp_path / "theirs.json").write_text(json.dumps(wrong))
         with pytest.raises(UsageError, match=metric.name):
             read_results(tmp_path / "theirs.json")
-    assert {"agent", "episodes"} < set(Results.__struct_fields__)
+    assert {"agent", "episodes"} < set(Content.__struct_fields__)
 
 
 def test_thousands_of_episodes_are_compared(tmp_path):
@@ -190,7 +190,7 @@ def test_thousands_of_episodes_are_compared(tmp_path):
     content["episodes"] = [{"seed": seed, "cell": "few", "SNS": float(seed % 7)} for seed in range(4_000)]
     content["faults"] = []
     (tmp_path / "many.json").write_text(json.dumps(content))
-    run = load_run(tmp_path / "many.json")
+    run = Results.load(tmp_path / "many.json")
     (row,) = compare([run, run])["runs"][1]["difference"].values()
     assert row["count"] == 4_000 and row["mean"] == 0.0
 

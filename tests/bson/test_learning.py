@@ -12,7 +12,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3")
 
 import gymnasium
 
-from bson.agents import learned
+from bson.agents import Setting, learned
 from bson.env import BsonEnv
 from bson.features import FEATURES, Features
 from bson.learning import train as train_module
@@ -21,6 +21,8 @@ from bson.learning.imitation import BcConfig, clone, select
 from bson.learning.train import PRESETS, TrainConfig, one_thread, train
 from bson.learning.tsallis import log_q
 from bson.learning.vec_env import FeatureVecEnv
+from bson.task import TaskConfig
+from bson.tracks import make_track
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
 
@@ -213,6 +215,23 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
         assert (tensor == restored.policy.state_dict()[name]).all(), name
 
 
+def test_tensorboard_shows_the_curve_the_validations_and_the_losses(tmp_path):
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    plain = train(config("ppo", SMALL_PPO), tmp_path / "plain")
+    folder = train(config("ppo", SMALL_PPO), tmp_path / "logged", tensorboard=True)
+    assert (folder / "policy.npz").read_bytes() == (plain / "policy.npz").read_bytes()
+    assert not (plain / "tensorboard").exists()
+    events = accumulator.EventAccumulator(str(folder / "tensorboard")).Reload()
+    found = {tag: [(one.step, one.value) for one in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    recipe = json.loads((folder / "policy.json").read_text())
+    for rows, prefix in ((recipe["curve"], ""), (recipe["validations"], "validation/")):
+        assert rows
+        for name in rows[0].keys() - {"steps"}:
+            expected = [(row["steps"], pytest.approx(row[name], abs=1e-4, rel=1e-5)) for row in rows]
+            assert found[prefix + name] == expected
+    assert any(tag.startswith("train/") and "loss" in tag for tag in found)
+
+
 def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
     scores = iter([10.0, 30.0, 20.0, 5.0])
 
@@ -376,3 +395,17 @@ def test_training_leaves_torchs_threads_as_they_were():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
+
+
+def test_what_was_trained_on_another_robot_tells_so_and_sees_shares_of_its_speeds(tmp_path):
+    task = {**TASK, "robot": "diffbot", "control_period": 0.2}
+    folder = train(dataclasses.replace(config("ppo", SMALL_PPO, steps=64), task=task), tmp_path)
+    factory = learned.load(str(folder / "policy.npz"))
+    agent = factory(Setting.of(TaskConfig(robot="diffbot", control_period=0.2), make_track("local", "lidar2d")))
+    assert agent.top == (1.0, 2.0)
+    with pytest.raises(ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"):
+        factory(Setting.default())
+    seen, _ = BsonEnv(**task).reset(seed=0)
+    seen["velocity"] = np.array([0.5, 1.0], np.float32)
+    worlds = FeatureVecEnv(1, seed=0, **task)
+    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [0.5, 0.5]

@@ -19,11 +19,13 @@ import bson  # noqa: F401  (registers the environments)
 import bson.dm
 from bson import robot
 from bson.env import BsonEnv, BsonVectorEnv
+from bson.episodes.session import KEPT, Session
 from bson.sensors import Camera, Imu, Lidar2D, RgbCamera
-from bson.session import Session
+from bson.simulation.people import BOXES, ROWS, decision, rows_for
+from bson.simulation.scene import build_spec, structure
+from bson.simulation.world import MAX_WORLDS, World
 from bson.task import MAX_PEDESTRIANS, TaskConfig
 from bson.tracks import LocalTrack, make_track, sensor_documents
-from bson.world import BOXES, MAX_WORLDS, ROWS, World, _decision, _rows, build_spec, structure
 from macid.drawing import gl_problem
 from macid.pedestrians import make_controller
 from macid.reward import RewardWeights
@@ -44,9 +46,9 @@ def same(first, second):
 
 def test_sizes_that_decisions_are_filled_up_to_have_the_papers_and_round_distances_as_they_were():
     for people in (24, 50, 100, 200):
-        assert _rows(people) == people + 1  # the robot is one more
+        assert rows_for(people) == people + 1  # the robot is one more
     for people in range(1, MAX_PEDESTRIANS + 1):
-        rows = _rows(people)
+        rows = rows_for(people)
         assert people < rows and (people).bit_length() == (rows - 1).bit_length()  # geometry.first_disc's mask
     assert list(ROWS) == sorted(ROWS) and list(BOXES) == sorted(BOXES)
 
@@ -55,7 +57,7 @@ def test_sizes_that_decisions_are_filled_up_to_have_the_papers_and_round_distanc
 def test_what_fills_a_decision_up_changes_no_learned_persons_decision_by_a_bit(people, boxes):
     rng = np.random.default_rng(people)
     controller = make_controller("macid", 0.1)
-    rows = _rows(people)
+    rows = rows_for(people)
     assert people + 1 < rows
     for _ in range(4):
         half = 2.0 + np.sqrt(people)
@@ -66,12 +68,12 @@ def test_what_fills_a_decision_up_changes_no_learned_persons_decision_by_a_bit(p
         solid = np.concatenate(
             [rng.uniform(-half, half, (boxes, 2)), rng.uniform(0.1, 2, (boxes, 2)), rng.uniform(-2, 2, (boxes, 1))], -1
         ).astype(np.float32)
-        exact = _decision((controller,), people + 1, boxes)(packed, solid)
+        exact = decision((controller,), people + 1, boxes)(packed, solid)
         filled, boxed = np.zeros((rows, 10), np.float32), np.zeros((64, 5), np.float32)
         filled[:, :2] = filled[:, 6:8] = parking_place(np.arange(rows))
         boxed[:, :2], boxed[:, 2:4] = -parking_place(np.arange(64)), 0.1
         filled[: people + 1], boxed[:boxes] = packed, solid
-        padded = _decision((controller,), rows, 64)(filled, boxed)
+        padded = decision((controller,), rows, 64)(filled, boxed)
         assert np.array_equal(np.asarray(padded)[: 3 * people], np.asarray(exact)[: 3 * people])
         state = CrowdState(packed[:, :2], packed[:, 2], packed[:, 3:5], packed[:, 5], np.zeros(people + 1, bool))
         assert np.isfinite(np.asarray(controller(state, solid, packed[:, 6:8], packed[:, 8]))).all()
@@ -107,12 +109,13 @@ def test_options_that_need_no_other_model_keep_the_world_and_few_decisions_are_c
         env.reset(seed=1, options=options)
         assert env.world is world
         env.step(ACTION)
-    before = _decision.cache_info()
+    before, made = decision.cache_info(), []
     for people in range(9, 16):
         env.reset(seed=2, options={"num_pedestrians": people})
         env.step(ACTION)
-    assert _decision.cache_info().misses - before.misses <= 1
-    assert len(env._session._worlds) <= 4
+        made.append(weakref.ref(env.world))
+    assert decision.cache_info().misses - before.misses <= 1
+    assert sum(ref() is not None for ref in made) == KEPT
 
 
 def test_a_models_structure_is_what_its_scene_has():
@@ -147,16 +150,15 @@ def test_memory_stays_flat_over_resets_with_other_options():
 
 def test_resets_with_other_options_let_go_of_what_they_replace():
     env, rng, made = BsonEnv(**SMALL), np.random.default_rng(1), []
-    kept = len(env._session._worlds) + 4
     read = robot._prepared.cache_info().misses
     for _ in range(60):
         people, density = int(rng.integers(0, 16)), float(rng.uniform())
         env.reset(seed=int(rng.integers(99)), options={"num_pedestrians": people, "obstacle_density": density})
         world = env.world
         assert world.people_goals.shape == (1, people, 2)  # ways are found
-        made.append([weakref.ref(each) for each in (world, world.model, world.layouts[0], world._routers[0]) if each])
+        made.append([weakref.ref(each) for each in (world, world.engine, world.model, world.layouts[0]) if each])
     for alive in itertools.zip_longest(*made):  # without a garbage collection
-        assert len({id(ref()) for ref in alive if ref is not None and ref() is not None}) <= kept
+        assert len({id(ref()) for ref in alive if ref is not None and ref() is not None}) <= KEPT
     assert robot._prepared.cache_info().misses <= read + 1  # one robot's model is not read again
     env.close()
     assert not any(ref() is not None for ref in made[0])
@@ -172,7 +174,7 @@ def test_ways_are_the_same_whenever_they_are_asked_for(options):
     goals = first.people_goals.copy()
     third = copy.deepcopy(second)
     with pytest.raises(ValueError), second.whole():  # a step that fails takes the ways back
-        second._step([0, 1], np.zeros((2, 2)))
+        second.step([0, 1], np.zeros((2, 2)))
         raise ValueError
     for _ in range(5):
         for world in (first, second, third):
@@ -293,9 +295,9 @@ def test_closing_frees_what_draws_and_what_steps():
     env = BsonEnv(sensor="camera", render_mode="rgb_array", **SMALL)
     env.reset(seed=1)
     env.render()
-    world, renderer, film = env.world, env.world.renderer, env._film
+    world, renderer, film = env.world, env.world.engine.renderer, env._film
     env.close()
-    assert world.batch is None and renderer._gl is None and film._gl is None
+    assert not hasattr(world, "engine") and renderer._gl is None and film._gl is None
     with pytest.raises(gymnasium.error.ClosedEnvironmentError):
         world.step([0], [[0.0, 0.0]])
 

@@ -1,4 +1,7 @@
 import dataclasses
+import heapq
+import itertools
+import math
 
 import numpy as np
 import pytest
@@ -234,6 +237,49 @@ def test_dijkstra_and_a_star_are_optimal(seed, with_cost):
         assert path_cost(path, grid, cost) == pytest.approx(least, rel=1e-12)
         assert is_clear(path, grid)
         np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+
+
+def plain_a_star(grid, cost, start, goal, weight):
+    """The cells from `start` to `goal` that A* finds, by its definition: on the whole grid, cell by cell."""
+    rate = 1 + cost
+
+    def left(cell):
+        dx, dy = (abs(a - b) for a, b in zip(cell, goal, strict=True))
+        return weight * (max(dx, dy) + (math.sqrt(2.0) - 1.0) * min(dx, dy))
+
+    costs, before, closed, heap = {start: 0.0}, {}, set(), [(left(start), start)]
+    while goal not in closed:
+        _, (i, j) = heapq.heappop(heap)
+        if (i, j) in closed:
+            continue
+        closed.add((i, j))
+        for di, dj in itertools.product((-1, 0, 1), repeat=2):
+            a, b = i + di, j + dj
+            on_map = 0 <= a < grid.shape[0] and 0 <= b < grid.shape[1]
+            if (a, b) in closed or not on_map or grid.occupied[[a, a, i], [b, j, b]].any():
+                continue
+            there = costs[i, j] + math.sqrt(di * di + dj * dj) * (0.5 * rate[i, j] + 0.5 * rate[a, b])
+            if there < costs.get((a, b), math.inf):
+                costs[a, b], before[a, b] = there, (i, j)
+                heapq.heappush(heap, (there + left((a, b)), (a, b)))
+    way = [goal]
+    while way[-1] != start:
+        way.append(before[way[-1]])
+    return way[::-1]
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.6, 1.0, 1.8])
+def test_of_equal_ways_a_star_takes_that_of_the_plain_algorithm(weight):
+    rng = np.random.default_rng(3)
+    people = social_cost(MAZE, rng.uniform(-10, 10, (8, 2)), rng.normal(0, 1, (8, 2)))
+    for grid, cost in ((MAZE, people), (MAZE, 0 * people), (OPEN, np.zeros(OPEN.shape))):
+        cells = np.argwhere(grid.regions == grid.regions[tuple(grid.cells(grid.nearest_free([-8.0, -8.0])))])
+        for first, last in rng.choice(cells, (3, 2)):
+            path = plan("astar", grid, *grid.centres([first, last]), cost, config=AStarConfig(weight))
+            way = plain_a_star(grid, cost, tuple(first.tolist()), tuple(last.tolist()), weight)
+            np.testing.assert_array_equal(grid.cells(path), way)
+            if weight == 0:
+                np.testing.assert_array_equal(plan("dijkstra", grid, *grid.centres([first, last]), cost), path)
 
 
 def test_the_random_grids_have_ways():

@@ -58,6 +58,9 @@ COMMANDS = {
         ["nowhere"], ["empty"], ["folder"], ["list.json"], [],
     ]),
     "render": (["bson", "render", "--agent", "stop", *QUICK], "--out", "film.webm", SETTING),
+    "export": (["bson", "export", *QUICK], "--out", "scene", [
+        *TASK, ["--track", "locl"], ["--sensor", "sonar"], ["--seed", "-1"], ["--cell", "frontal"], ["--suite", "scenarios"],
+    ]),
     "bench": (["bson", "bench", "--seconds", "0.01"], "--out", "bench.json", [
         ["--pedestrian-model", "nobody"], ["--worlds", "0"], ["--seconds", "0"], ["--pedestrians", "-1"],
         ["--train", "ppo", "--sensors", "lidar2d"],
@@ -71,6 +74,9 @@ COMMANDS = {
     "macid watch": (["macid", "watch", "--pedestrian", "orca", "--seconds", "1"], "--out", "film.webm", [
         *CROWD, ["--level", "9"], ["--seconds", "0"], ["--follow", "999"], ["--scale", "9"], ["--at", "1"],
     ]),
+    "macid export": (["macid", "export"], "--out", "scene", [
+        ["--level", "9"], ["--map", "nowhere"], ["--level", "1", "--map", "hall"], ["--people", "0"], ["--lcf", "1", "0"],
+    ]),
     "macid train": (["macid", "train", "--level", "1", "--agent-steps", "1"], "--out", "runs", [
         ["--method", "nothing"], ["--level", "9"], ["--level", "nowhere.toml"], ["--period", "0.03"], ["--seeds", "0"],
     ]),
@@ -78,7 +84,7 @@ COMMANDS = {
         *LEVEL, ["--worlds", "0"], ["--seconds", "-1"],
     ]),
 }  # fmt: skip
-FOLDERS = {"results", "bson-demo", "comparison", "runs"}
+FOLDERS = {"results", "bson-demo", "comparison", "scene", "runs"}
 # What stands in the way of results of any kind: names below the folder that the command runs in.
 WRONG_PLACES = ["file/below", "circle/below", "dangling/below", "fifo/below", "/dev/null/below", "x" * 300, "new/" + "x" * 300]
 WRONG_FOLDERS = ["file", "fifo", "to-device", "dangling"]

@@ -11,8 +11,8 @@ import pytest
 from bson import ENVIRONMENTS, robot
 from bson.agents.scripted import goal
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.world import World
 from macid import assets, drawing, geometry
 
 STEP = 0.02  # [s]
@@ -269,9 +269,7 @@ def other(name):
 
 def put(world, pose):
     """The robot of world 0 to `pose`, at rest."""
-    world._qpos[0, world._robot_qpos] = robot.spawn_qpos(*pose, world.config.robot)
-    world._qvel[0] = 0
-    world._sense(np.array([0]))
+    world.place([0], pose=[pose])
 
 
 def alone(sensors=(Imu(), Lidar2D(), Lidar3D()), pose=(1.0, 2.0, 0.4), **changes):
@@ -553,6 +551,37 @@ def test_what_is_wrong_in_a_robots_files_is_told(toml, urdf, told, box):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("place", ["", "parts"])
+@pytest.mark.parametrize("asks", ['<include file="{}"/>', '<asset><mesh file="{}" name="m"/></asset>'])
+def test_what_a_model_names_is_a_file_of_a_bounded_size(asks, place, box, tmp_path):
+    (tmp_path / place).mkdir(exist_ok=True)
+    (tmp_path / place / "odd.xml").write_bytes(b"")
+    named = {"": "odd.xml", "parts": "parts/odd.xml"}[place]
+    for kind in ("endless", "long", "folder"):
+        part = tmp_path / place / "odd.xml"
+        if kind == "endless":
+            part.unlink()
+            part.symlink_to("/dev/zero")
+        elif kind == "long":
+            part.unlink()
+            with part.open("wb") as file:
+                file.truncate(1 << 40)  # a hole, which fills no disk
+        else:
+            part.unlink()
+            part.mkdir()
+        description = box(('model = "box.urdf"', 'model = "box.xml"'))
+        (tmp_path / "box.xml").write_text(f"<mujoco>{asks.format(named)}</mujoco>")
+        with pytest.raises(ValueError, match="odd.xml'? (is no regular file|has 1,099,511,627,776 bytes)"):
+            robot.load_robot(description)
+
+
+def test_a_model_that_includes_itself_is_refused(box, tmp_path):
+    description = box(('model = "box.urdf"', 'model = "box.xml"'))
+    (tmp_path / "box.xml").write_text('<mujoco><include file="box.xml"/></mujoco>')
+    with pytest.raises(ValueError, match="nested more than 16 deep"):
+        robot.load_robot(description)
+
+
 @pytest.mark.parametrize(
     ("name", "told"),
     [("arm.urdf.xacro", "Expand it first: `xacro"), ("arm.urdf", "needs a .toml description"), ("arm.dae", "part of a model")],
@@ -564,5 +593,5 @@ def test_a_model_for_a_description_is_told_what_to_do(name, told):
 
 @pytest.mark.parametrize("changes", [{"wheel_radius": 1e-12}, {"track": 1e300}, {"max_yaw_rate": float("nan")}, {"half_width": 0}])
 def test_numbers_that_no_robot_has_are_refused_in_a_task_too(changes):
-    with pytest.raises(ValueError, match=f"{[*changes][0]}.* a number (above 0, )?from"):
+    with pytest.raises(ValueError, match=f"{[*changes][0]} must be a number above 0, from"):
         TaskConfig(robot=changes)

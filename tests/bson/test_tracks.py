@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 import bson  # noqa: F401  (registers the environments)
+from bson.episodes.session import Session
 from bson.sensors import Lidar2D
-from bson.session import Session
 from bson.task import TaskConfig
 from bson.tracks import SENSORS, TRACKS, make_track
 from macid.geometry import point_box_distance, rotate

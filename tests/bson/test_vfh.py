@@ -93,7 +93,7 @@ def test_it_estimates_a_crossing_persons_velocity_and_keeps_clear():
         heading += rate * PERIOD
         position = position + speed * PERIOD * np.array([math.cos(heading), math.sin(heading)])
         person = person + velocity * PERIOD
-        gap = min(gap, np.linalg.norm(person - position) - RADIUS - agent.config.radius)
+        gap = min(gap, np.linalg.norm(person - position) - RADIUS - agent.radius)
         c, s = math.cos(heading), math.sin(heading)
         into = np.array([[c, s], [-s, c]])
         goal, seen = into @ (np.array([20.0, 0.0]) - position), into @ (person - position)

@@ -37,3 +37,14 @@ def test_an_installed_wheel_finds_its_assets_and_steps(installed):
     lines = run(installed, code).splitlines()
     assert lines[0] == str(installed / "macid" / "_assets")
     assert "paper" in lines[1] and lines[2:] == ["200", "stepped"]
+
+
+def test_an_installed_wheel_makes_pages(installed):
+    code = (
+        "from bson.heatmap import Scale, Tile, cell_maps;"
+        "print(cell_maps([Tile({'axis': '<b>'}, 0.5, 0.1, 0.9)], Scale(0.0, 1.0), 'heading'))"
+    )
+    assert "&lt;b&gt;" in run(installed, code)
+    templates = [{path.name for path in (root / "bson" / "templates").iterdir()} for root in (ROOT, installed)]
+    assert templates[0] == templates[1]
+    assert {"report.html", "compare.html", "page.css"} <= templates[1]

@@ -5,10 +5,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from bson import robot
 from bson.sensors import Imu, Lidar2D
+from bson.simulation import contacts
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.world import World
 from macid import geometry
 from macid.layout import NoFreeSpace
 from macid.state import HEIGHT, RADIUS
@@ -64,7 +64,7 @@ def test_each_lidar_beam_agrees_with_mj_ray_and_with_the_analytic_ray():
     lidar = SENSORS[1]
     compared = 0
     for index in range(3):
-        model, data = world.batch.get_model(index), world.batch.get_data(index)
+        model, data = world.model, world.engine.data(index)
         mujoco.mj_forward(model, data)
         site = model.site("robot/lidar").id
         origin, frame = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
@@ -91,7 +91,7 @@ def test_lidar_sits_at_its_true_height_and_turns_with_the_robot():
     world.reset([0], [0])
     for _ in range(10):
         world.step([0], [[0.0, 0.0]])
-    data = world.batch.get_data(0)
+    data = world.engine.data(0)
     mujoco.mj_forward(world.model, data)
     assert data.site("robot/lidar").xpos[2] == pytest.approx(0.40, abs=0.01)
     x, y, yaw = world.pose[0]
@@ -117,23 +117,18 @@ def test_imu_reads_gravity_at_rest_and_the_yaw_rate_in_a_turn():
 
 def put(world, pose, people):
     """Robot and people of world 0 to given places, at rest."""
-    world._qpos[0, world._robot_qpos] = robot.spawn_qpos(*pose)
-    world._qpos[0, world._people] = np.array(people, dtype=float).ravel()
-    world._qvel[0] = 0
-    world._sense(np.array([0]))
+    world.place([0], pose=[pose], people=np.reshape(people, (1, -1, 3)))
 
 
 @pytest.mark.parametrize(("gap", "touched"), [(0.008, True), (0.03, False)])
 def test_a_collision_is_counted_in_physics_steps_by_the_surface_gap(gap, touched):
-    world = World(TaskConfig(num_pedestrians=1), 1)
+    world = World(TaskConfig(num_pedestrians=1, pedestrian_model="standing"), 1)
     world.reset([0], [0])
     half = world.config.robot.half_length
     put(world, (0.0, 0.0, 0.0), [[half + RADIUS + gap, 0.0, 0.0]])
-    world.people_goals[0] = world.people[0, :, :2] + [10.0, 0.0]
-    before = np.array([[0.0, 0.0, 0.0]])
-    world._account(np.array([0]), before, np.tile(world.qpos[0], (1, 5, 1)))
-    assert world.collisions[0] == world.collisions_person[0] == (5 if touched else 0)
     assert world.nearest_person[0] == pytest.approx(gap, abs=1e-9)
+    world.step([0], [[0.0, 0.0]])
+    assert world.collisions[0] == world.collisions_person[0] == (5 if touched else 0)
 
 
 @pytest.mark.parametrize(
@@ -141,18 +136,12 @@ def test_a_collision_is_counted_in_physics_steps_by_the_surface_gap(gap, touched
     [((0.02, 0.0), 5), ((0.0, 0.0), 0), ((-0.005, 0.0), 0), ((0.0, 0.02), 0), ((0.0004, 0.0), 0), ((0.002, 0.01), 5)],
 )
 def test_who_ran_into_whom_is_told_by_the_robots_move(move, robot_on_person):
-    world = World(TaskConfig(num_pedestrians=2), 1)
-    world.reset([0], [0])
-    touching = world.config.robot.half_length + RADIUS + 0.005
-    put(world, (0.0, 0.0, 0.0), [[touching, 0.0, 0.0], [0.0, 3.0, 0.0]])  # one ahead, one not touched
-    qpos = np.tile(world.qpos[0], (1, 5, 1))
-    for step in range(5):  # people slide along, so that the contact stays
-        shift = (step + 1) * np.array(move)
-        qpos[0, step, world._robot_qpos][:2] += shift
-        qpos[0, step, world._people].reshape(2, 3)[:, :2] += shift
-    world._account(np.array([0]), np.zeros((1, 3)), qpos)
-    assert world.collisions_person[0] == 5
-    assert world.collisions_robot_on_person[0] == robot_on_person
+    jackal = TaskConfig().robot
+    shift = np.arange(1, 6)[:, None] * np.array(move)  # people slide along, so that the contact stays
+    pose = np.column_stack([shift, np.zeros(5)])
+    ahead, beside = [jackal.half_length + RADIUS + 0.005, 0.0], [0.0, 3.0]  # the second is not touched
+    touched, towards = contacts.touches_people(pose, np.tile(move, (5, 1)), shift[:, None] + [ahead, beside], jackal)
+    assert touched.sum() == 5 and towards.sum() == robot_on_person
 
 
 def test_driving_into_a_wall_counts_as_wall_and_pushing_on_counts_on():
@@ -316,7 +305,7 @@ def test_failed_physics_is_named_and_stays_in_its_world(calm, field, place, valu
     for step in range(2):
         world.step([0, 1], np.ones((2, 2)))
     before = world.qpos[0].copy(), world.readings["lidar"][0].copy(), world.pose[0].copy()
-    broken = {"qpos": world._qpos, "qvel": world._qvel, "people_goals": world.people_goals}[field]
+    broken = world.people_goals if field == "people_goals" else getattr(world.engine, field)
     broken[0].reshape(-1)[place] = value
     for step in range(2, 5):
         world.step([0, 1], np.ones((2, 2)))
@@ -336,7 +325,7 @@ def test_physics_that_fails_everywhere_is_named(period, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings there
     world = World(TaskConfig(num_pedestrians=2, map_size=20.0, goal_distance=(6, 15), pedestrian_period=period))
     world.reset([0], [1])
-    world._qvel[0, 0] = 1e9
+    world.engine.qvel[0, 0] = 1e9
     for _ in range(2):
         world.step([0], np.ones((1, 2)))
         assert world.fault[0] and world.steps[0] == 0

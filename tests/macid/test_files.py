@@ -18,6 +18,7 @@ from macid.files import (
     output_folder,
     remove_leftovers,
     run_command,
+    whole_folder,
     write_bytes,
     write_json,
 )
@@ -282,6 +283,38 @@ def test_what_cannot_be_printed_stops_nothing_that_is_to_be_written(tmp_path, ou
     )
     assert done.returncode == code and done.stderr.endswith(told) and "Traceback" not in done.stderr
     assert (tmp_path / "result").read_bytes() == b"whole"
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_whole_folder_is_there_at_the_end_or_not_at_all(tmp_path, there):
+    path = tmp_path / "new" / "folder"
+    if there:
+        path.mkdir(parents=True)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(ZeroDivisionError), whole_folder(path) as folder:
+        (folder / "half").touch()
+        assert not path.exists() or not os.listdir(path)
+        1 / 0  # noqa: B018
+    assert sorted(tmp_path.rglob("*")) == before
+    with whole_folder(path) as folder:
+        (folder / "below").mkdir()
+        (folder / "below" / "a").write_text("whole")
+    assert os.listdir(path.parent) == ["folder"] and (path / "below" / "a").read_text() == "whole"
+    with pytest.raises(UsageError, match="There are files in .*folder' already"), whole_folder(path):
+        pass
+    assert (path / "below" / "a").read_text() == "whole"
+
+
+def test_a_whole_folder_s_next_writer_removes_what_a_killed_one_left_of_it(tmp_path):
+    code = (
+        "import os, sys, signal; from macid.files import whole_folder\n"
+        "with whole_folder(sys.argv[1]) as folder:\n    (folder / 'half').touch()\n    os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")]).returncode == -signal.SIGKILL
+    assert len(os.listdir(tmp_path)) == 1
+    with whole_folder(tmp_path / "a"), whole_folder(tmp_path / "b"):
+        assert len(os.listdir(tmp_path)) == 2  # the one at work and its own stay
+    assert sorted(os.listdir(tmp_path)) == ["a", "b"]
 
 
 def test_an_output_folder_is_made(tmp_path):

@@ -207,6 +207,13 @@ def test_who_is_alone_has_a_mean_field_of_zeros():
     np.testing.assert_array_equal(critic[0, 2, FEATURES + 1 :], np.zeros(FEATURES + 2))
 
 
+def logged(folder):
+    """{tag: [(step, value), ...]} of what TensorBoard reads in a training's folder."""
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    events = accumulator.EventAccumulator(str(folder / "tensorboard")).Reload()
+    return {tag: [(one.step, one.value) for one in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+
+
 def test_resuming_after_ctrl_c_equals_not_stopping(tmp_path, monkeypatch):
     quiet = {"show": lambda line: None}
     whole = train(TINY, tmp_path / "whole", seeds=2, **quiet)
@@ -218,17 +225,28 @@ def test_resuming_after_ctrl_c_equals_not_stopping(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return fetch(logs)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    log = importlib.util.find_spec("tensorboard") is not None
+    with monkeypatch.context() as patch:
         patch.setattr(jax, "device_get", interrupted)
-        train(TINY, tmp_path / "parts", seeds=2, **quiet)
+        with pytest.raises(KeyboardInterrupt):
+            train(TINY, tmp_path / "parts", seeds=2, tensorboard=log, **quiet)
     assert not (tmp_path / "parts" / f"{TINY.name}-0" / "policy.npz").exists()
-    parts = train(TINY, tmp_path / "parts", seeds=2, resume=True, **quiet)
+    for seed in (0, 1) if log else ():  # a row that a killed run logged after its checkpoint
+        with curves.Board(tmp_path / "parts" / f"{TINY.name}-{seed}", done=10**6) as board:
+            board.write({"agent_steps": 1500, "reward": 1e6})
+    parts = train(TINY, tmp_path / "parts", seeds=2, resume=True, tensorboard=log, **quiet)
     assert [same(a.layers, b.layers) for a, b in zip(whole, parts, strict=True)] == [True, True]
     assert not same(whole[0].layers, whole[1].layers)
     for seed in (0, 1):
         folder = tmp_path / "parts" / f"{TINY.name}-{seed}"
         rows = list(csv.DictReader((folder / "curve.csv").open()))
         assert [float(row["agent_steps"]) for row in rows] == [500, 1000, 1500, 2000]
+        found = logged(folder) if log else {}
+        assert found.keys() == (rows[0].keys() - {"agent_steps"} if log else set())
+        for tag, series in found.items():
+            expected = [float(row[tag]) for row in rows]
+            assert [step for step, _ in series] == [500, 1000, 1500, 2000]
+            assert [value for _, value in series] == pytest.approx(expected, rel=1e-5, abs=1e-9)
         policy = load_policy(str(folder / "policy.npz"))
         assert policy.recipe["method"] == "macid" and policy.recipe["seed"] == seed
         assert same(policy.layers, whole[seed].layers)
@@ -479,3 +497,23 @@ def test_a_training_that_diverges_is_told(tmp_path):
     with pytest.raises(FloatingPointError, match="diverged at iteration [12]: the .* is (nan|inf)"):
         train(config, tmp_path, show=lambda line: None)
     assert not list(tmp_path.glob("*/policy.npz"))
+
+
+def test_a_log_that_begins_late_has_the_whole_curve(tmp_path):
+    pytest.importorskip("tensorboard")
+    rows = [{"steps": step, "score": step / 8} for step in (10, 20, 30, 40)]
+    for count in (2, 3):
+        with curves.Board(tmp_path, rows[:count]) as board:
+            board.write(rows[count])
+    assert logged(tmp_path) == {"score": [(row["steps"], row["score"]) for row in rows]}
+
+
+@pytest.mark.parametrize("package", ["macid", "bson"])
+def test_without_tensorboard_one_line_says_what_to_install(tmp_path, package):
+    code = f"import sys; sys.modules['tensorboard'] = None; from {package} import cli; sys.exit(cli.main(sys.argv[1:]))"
+    words = ["train", "--tensorboard", "--out", str(tmp_path / "runs")]
+    told = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
+    assert told.returncode == 2
+    wanted = "--tensorboard needs tensorboard: pip install 'bson-macid[tensorboard]'."
+    assert told.stderr.splitlines() == [f"{package}: error: {wanted}"]
+    assert not (tmp_path / "runs").exists()

@@ -50,7 +50,7 @@ def test_an_image_is_read_as_map_server_reads_it(tmp_path):
         ({"mode": "grey"}, "'mode': it must be one of trinary, scale, raw, not 'grey'"),
         ({"free_thresh": 0.7}, "'free_thresh': it must be below occupied_thresh, 0.65, not 0.7"),
         ({"negate": 2}, "'negate': it must be"),
-        ({"resolution": ".nan"}, "'resolution': a number"),
+        ({"resolution": ".nan"}, "'resolution': it must be a number above 0 .*not nan"),
         ({"resolution": "wide"}, "'resolution': it must be a number above 0"),
     ],
 )

@@ -1,36 +1,21 @@
-"""Episodes on worlds: actions in, observations, rewards and ends out. Every interface and the evaluation stand on this."""
+"""Episodes on worlds: actions in, observations, rewards and ends out. All interfaces and evaluations stand on this."""
 
 import contextlib
 import ctypes
+from typing import Any
 
 import gymnasium
 import numpy as np
 
-from bson.metrics import Episode
+from bson.simulation.data import INFO
+from bson.simulation.engines.base import MakeEngine
+from bson.simulation.engines.native import NativeEngine
+from bson.simulation.scene import structure
+from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
-from bson.world import World, check_worlds, structure
 from macid.reward import individual_reward
-from macid.routing import Router
 
-INFO = (
-    "seed",
-    "time",
-    "pose",
-    "goal",
-    "start_distance",
-    "distance",
-    "travelled",
-    "collisions",
-    "collisions_person",
-    "collisions_robot_on_person",
-    "collisions_obstacle",
-    "collisions_wall",
-    "nearest_person",
-    "arrived",
-    "fault",
-)
-
-_KEPT = 4  # worlds of a Session, of different structures
+KEPT = 4  # worlds of a Session, of different structures
 _GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back costs time when it is asked for again
 
 
@@ -48,13 +33,15 @@ def _give_back():
 class Session:
     """`nworld` worlds of one configuration and track, each in its own episode."""
 
-    def __init__(self, config: TaskConfig, track, nworld=1, seeds=None, nthread=0):
-        """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come."""
+    def __init__(self, config: TaskConfig, track, nworld=1, seeds=None, nthread=0, engine: MakeEngine = NativeEngine):
+        """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come.
+        engine: what moves the worlds (bson.simulation.engines)."""
         check_worlds("nworld", nworld)
-        self.track, self.nworld, self._nthread = track, nworld, nthread
-        self._worlds, self._replaced = {}, 0
+        self.track, self.nworld, self._nthread, self._engine = track, nworld, nthread, engine
+        self._worlds: Any = {}  # by structure; None once closed
+        self._replaced = 0
         self.configure(config)
-        self._streams = [None] * nworld
+        self._streams: list[Any] = [None] * nworld
         self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
 
     @property
@@ -66,18 +53,18 @@ class Session:
 
     def configure(self, config: TaskConfig):
         """Changes the setting of all worlds; they need a reset then. The last models are kept: the most recent of
-        another structure (bson.world.structure) takes the place of the oldest."""
+        another structure (bson.simulation.scene.structure) takes the place of the oldest."""
         if self._worlds is None:
             self.world  # tells that it is closed
         key = structure(config)
         world = self._worlds.pop(key, None)
         if world is None:
-            if len(self._worlds) >= _KEPT:
+            if len(self._worlds) >= KEPT:
                 self._worlds.pop(next(iter(self._worlds)))
                 self._replaced += 1
                 if self._replaced % _GIVE_BACK_EVERY == 0:
                     _give_back()
-            world = World(config, self.nworld, self.track.sensors, self._nthread)
+            world = World(config, self.nworld, self.track.sensors, self._nthread, engine=self._engine)
         elif world.config != config:
             world.configure(config)
         self._worlds[key] = world
@@ -144,7 +131,7 @@ class Session:
         world, config = self.world, self.config
         if not world.begun(ids):
             raise gymnasium.error.ResetNeeded("Call reset before step.")
-        limit = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
+        limit = np.array([world.robot.config.max_speed, world.robot.config.max_yaw_rate])
         distance, collisions = world.distance[ids].copy(), world.collisions[ids].copy()
         world.step(ids, np.clip(action, -1.0, 1.0) * limit)
         failed = world.fault[ids] != ""
@@ -154,58 +141,6 @@ class Session:
         return self.observe(ids), reward, arrived, failed | (world.steps[ids] >= config.horizon) & ~arrived
 
     def info(self, ids):
-        """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies. See World."""
+        """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies; see
+        bson.simulation.data."""
         return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}
-
-
-_RECORDED = {"collisions": "collisions_so_far"}  # what the World calls otherwise than the Episode
-
-
-class Recorder:
-    """Writes down the episode of one world of a session, from its reset on: `snap()` after the reset and each step."""
-
-    def __init__(self, session, index):
-        self._world, self._index = session.world, index
-        recorded = ("pose", "velocity", "people", "people_velocity", "qpos", "nearest_person", "collisions")
-        self._rows = {name: [] for name in recorded}
-        self._people_goals = self._world.destinations(index)
-        self.snap()
-
-    def snap(self):
-        """Appends the world's present."""
-        for name, rows in self._rows.items():
-            rows.append(np.array(getattr(self._world, name)[self._index]))
-
-    def episode(self):
-        """The Episode so far."""
-        world, index = self._world, self._index
-        counts = {name: int(getattr(world, name)[index]) for name in INFO if name.startswith("collisions")}
-        return Episode(
-            seed=int(world.seed[index]),
-            start_distance=float(world.start_distance[index]),
-            shortest=self._shortest(),
-            final_distance=float(world.distance[index]),
-            travelled=float(world.travelled[index]),
-            duration=float(world.time[index]),
-            arrived=bool(world.arrived[index]),
-            timed_out=bool(world.steps[index] >= world.config.horizon and not world.arrived[index]),
-            **counts,
-            goal=world.goal[index].copy(),
-            boxes=world.boxes[index].copy(),
-            lcf=world.lcf[index].copy(),
-            period=world.config.control_period,
-            robot_radius=world.config.robot.radius,
-            people_goals=self._people_goals,
-            fault=str(world.fault[index]),
-            **{_RECORDED.get(name, name): np.array(rows) for name, rows in self._rows.items()},
-        )
-
-    def _shortest(self):
-        """Length [m] of the router's shortest way for the robot, or of the straight one where it finds none."""
-        world, index = self._world, self._index
-        start, goal = self._rows["pose"][0][:2], world.goal[index]
-        try:
-            way = Router(world.layouts[index], world.config.robot.radius).path(start, goal)
-        except ValueError:  # a passage may be wider than the robot and narrower than a grid can tell
-            way = goal[None]
-        return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())

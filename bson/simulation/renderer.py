@@ -1,6 +1,7 @@
 """What cameras in the worlds of a batch see, drawn offscreen: one OpenGL context for all worlds and cameras."""
 
 import copy
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -9,13 +10,14 @@ from macid import drawing
 
 
 class Renderer(drawing.Offscreen):
-    """Draws what the cameras of `model` see, without shadows; each picture is as large as its camera's resolution.
+    """Draws what the cameras of `model` see in `nworld` worlds, without shadows; a picture is as large as its camera's
+    resolution.
 
     model: as sensors see it; it is copied. Close it, or let it go; raises macid.drawing.Unavailable without OpenGL.
     """
 
-    def __init__(self, model):
-        model = copy.copy(model)
+    def __init__(self, model: mujoco.MjModel, nworld: int):
+        model, self._nworld = copy.copy(model), nworld
         # A pixel is the ray through its middle, so that its depth is that of one surface: no samples beside it.
         quality = model.vis.quality
         quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
@@ -26,7 +28,7 @@ class Renderer(drawing.Offscreen):
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._frames = {}
 
-    def view(self, name):
+    def view(self, name: str) -> int:
         """The view of the camera `name`: a number that cameras share that see the same."""
         model = self.model
         same = np.ones(model.ncam, bool)
@@ -35,31 +37,32 @@ class Renderer(drawing.Offscreen):
             same &= (rows == rows[model.camera(name).id]).all(axis=-1)
         return int(np.flatnonzero(same)[0])
 
-    def look(self, world, view, ids):
-        """What the worlds `ids` of `world` look like now: RGB (n, H, W, 3) uint8 and depth (n, H, W) float32 [m].
+    def look(self, view: int, ids: np.ndarray, fill: Callable, now: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the worlds `ids` look like: RGB (n, H, W, 3) uint8 and depth (n, H, W) float32 [m].
 
-        Depth is measured along the optical axis, not along the pixel's ray. A view is drawn once per time that the
-        world's sensors are read (`world.sensed`), however many sensors share it.
+        Depth is measured along the optical axis, not along the pixel's ray. fill(index, data) writes the state of world
+        `index` into the MjData `data`. now: a number that changes when worlds do; a view is drawn once for each,
+        however many sensors share it.
         """
         if view not in self._frames:
             width, height = self.model.cam_resolution[view]
             self._frames[view] = (
-                np.full(world.nworld, -1),
-                np.zeros((world.nworld, height, width, 3), np.uint8),
-                np.zeros((world.nworld, height, width), np.float32),
+                np.full(self._nworld, -1),
+                np.zeros((self._nworld, height, width, 3), np.uint8),
+                np.zeros((self._nworld, height, width), np.float32),
             )
         drawn, rgb, depth = self._frames[view]
-        stale = ids[drawn[ids] != world.sensed]
+        stale = ids[drawn[ids] != now]
         if len(stale):
             with self.current():
                 for index in stale:
-                    self._draw(world.batch, view, index, rgb[index], depth[index])
-            drawn[stale] = world.sensed
+                    self._draw(fill, view, index, rgb[index], depth[index])
+            drawn[stale] = now
         return rgb[ids], depth[ids]
 
-    def _draw(self, batch, view, index, rgb, depth):
-        """Draws world `index` of `batch` into `rgb` (H, W, 3) and `depth` (H, W)."""
-        batch.get_data(index, self.data)
+    def _draw(self, fill, view, index, rgb, depth):
+        """Draws world `index` into `rgb` (H, W, 3) and `depth` (H, W)."""
+        fill(index, self.data)
         self._camera.fixedcamid = view
         self.place(self._camera)
         rect = mujoco.MjrRect(0, 0, depth.shape[1], depth.shape[0])

@@ -1,0 +1,406 @@
+"""The benchmark for Python: what the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` do, as
+calls.
+
+    from bson import benchmark
+
+    results = benchmark.evaluate(agent, "smoke", out="results/mine")
+    results.metrics["SNS"]  # (episodes,), see bson.results.Results
+
+Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. What is heavy is loaded
+when it is needed: comparing results loads neither JAX nor MuJoCo.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import json
+import pathlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bson.results import Results
+from macid.executors import Executor, make_executor
+from macid.files import (
+    UsageError,
+    check_file,
+    check_folder,
+    lock_folder,
+    new_folder,
+    output_folder,
+    remove_leftovers,
+    write_bytes,
+    write_json,
+)
+
+
+def evaluate(
+    agent: Any,
+    suite: str = "paper",
+    *,
+    out: str | pathlib.Path | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    paired: bool = False,
+    videos: int = 2,
+    resume: bool = False,
+    executor: str | Executor = "local",
+    ray_address: str | None = None,
+    workers: int | None = None,
+    command: str | None = None,
+    told: Callable[[Results], None] | None = None,
+    quiet: bool = False,
+) -> Results:
+    """Scores an agent on a suite, as `bson evaluate` does; returns the Results.
+
+    agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
+    (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
+    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
+    track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
+    are changed. paired: also plays each episode without the robot. videos: how many films. resume: goes on with what
+    was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. command: what
+    `results.json` says that it was made by. told: called with the Results once these are written, before anything is
+    filmed. quiet: no progress on stderr.
+
+    Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another
+    ValueError, of one line, before anything is written where the request can't be met.
+    """
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.evaluate import results, sound
+    from bson.evaluation.executors import play_cells
+    from bson.report import make_report
+    from bson.resume import Unfinished, basis, files_digest
+    from bson.suites import load_suite
+    from bson.tracks import make_track, sensor_label, sensor_settings
+
+    name, changes = agent_label(agent), overrides or {}
+    if resume and out is None:
+        raise UsageError("resume goes on with what is in the folder `out`: give it.")
+    chosen = load_suite(suite)
+    seeds = chosen.drawn(episodes, seed)
+    cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
+    make_agent = load_agent(agent, untrained)
+    wanted = track or make_agent.track, sensor or make_agent.sensor
+    seen = make_track(*wanted)
+    check_settings(make_agent, [cell.config for cell in cells], seen)
+    for cell in cells:
+        _check_spawn(cell.config, seeds)
+    follows_from = basis(name, wanted, cells, paired)
+    folder = None if out is None else _evaluation_folder(out)
+    runner = make_executor(executor, ray_address, workers)
+    with contextlib.ExitStack() as held:
+        unfinished = None
+        if folder is not None:
+            held.enter_context(lock_folder(folder))
+            unfinished = Unfinished(folder, follows_from, resume)
+        found = [
+            {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
+        ]
+        with runner:
+            played = play_cells(
+                runner,
+                agent,
+                make_agent,
+                untrained,
+                name,
+                cells,
+                wanted,
+                seeds,
+                found,
+                paired,
+                functools.partial(_bar, name, len(cells) > 1, quiet),
+                unfinished.save if unfinished else lambda cell, episode: None,
+            )
+        content = results(
+            name,
+            chosen.name,
+            cells,
+            played,
+            suite_digest=chosen.digest if not changes else None,
+            task_digest=files_digest(follows_from),
+            track=[wanted[0], sensor_label(wanted[1])],
+            sensors=sensor_settings(seen.sensors),
+            paired=paired,
+            overrides={key: str(value) for key, value in changes.items()},
+            frozen_seeds=seed == 0,
+            command=command,
+        )
+        found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
+        if folder is None:
+            if told:
+                told(found)
+            return found
+        # What an earlier run left here does not belong to these results.
+        remove_leftovers(folder / "videos")
+        for stale in (folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
+            if not stale.is_symlink():
+                stale.unlink(missing_ok=True)
+        found.save(folder / "results.json")
+        if told:
+            told(found)
+        played = [sound(each) for each in played]
+        films, why_not = _films(played, cells, seen, folder / "videos", videos, name, quiet)
+        report = make_report(content, [e for each in played for e in each], films, why_not)
+        write_bytes(folder / "report.html", report.encode())
+        unfinished.discard()
+    return dataclasses.replace(
+        found, written=(folder / "results.json", folder / "report.html", *(path for path, _ in films))
+    )
+
+
+def _evaluation_folder(out):
+    """`out` as a Path, if all that an evaluation writes can be written there. Raises UsageError."""
+    folder = check_folder(out)
+    for file in (folder / "results.json", folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
+        check_file(file)
+    check_folder(folder / "videos")
+    return folder
+
+
+def _check_spawn(config, seeds):
+    """Draws the episodes `seeds`, so that a map without room is told before anything runs."""
+    import numpy as np
+
+    from bson.task import spawn
+
+    for seed in seeds:
+        spawn(config, np.random.default_rng(seed))
+
+
+@contextlib.contextmanager
+def _bar(name, several, quiet, cell, without_robot, total, done):
+    """A progress bar on stderr, as the `watch` of play_cells."""
+    from tqdm import tqdm
+
+    told = f"{name}: {cell}" if several and cell is not None else name
+    if without_robot:
+        told += ", without the robot"
+    with tqdm(total=total, initial=done, unit="episode", desc=told, file=sys.stderr, smoothing=0, disable=quiet) as bar:
+        steps, shown = 0, time.monotonic()
+
+        def progress(control_steps, ended):
+            nonlocal steps, shown
+            steps += control_steps
+            bar.update(ended)
+            if not quiet and (ended or time.monotonic() - shown > 0.2):
+                shown = time.monotonic()
+                bar.set_postfix_str(f"{steps / max(bar.format_dict['elapsed'], 1e-9):,.0f} steps/s", refresh=True)
+
+        yield progress
+
+
+def to_film(played, number):
+    """Which episodes to film, as (the cell's place, the episode, what to tell of it).
+
+    played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
+    the worst of each of the `number` worst cells, and the best of the best.
+    """
+    from bson.metrics import sns, spread_by_score
+
+    if len(played) == 1:
+        chosen = [(0, episode) for episode in spread_by_score(played[0], number)]
+        kinds = {len(chosen) - 1: "the best episode", 0: "the worst episode"}
+    else:
+        ranked = sorted(
+            ((place, sorted(episodes, key=sns)) for place, episodes in enumerate(played) if episodes),
+            key=lambda cell: sum(map(sns, cell[1])) / len(cell[1]),
+        )
+        chosen = [(place, episodes[0]) for place, episodes in ranked[:number]]
+        kinds = dict.fromkeys(range(len(chosen)), "its worst episode") | {0: "the worst cell's worst episode"}
+        best, episodes = ranked[-1]
+        if all(episode is not episodes[-1] for _, episode in chosen):
+            kinds[len(chosen)] = "the best cell's best episode"
+            chosen.append((best, episodes[-1]))
+    return [(*each, kinds.get(rank, "")) for rank, each in enumerate(chosen)]
+
+
+def _films(played, cells, track, folder, number, name, quiet):
+    """Films episodes (see to_film); returns (path, caption) pairs and why there are none.
+
+    played: the episodes of each of `cells`.
+    """
+    from tqdm import tqdm
+
+    from bson import film
+    from bson.metrics import sns
+    from bson.simulation.scene import build_model
+    from macid import drawing
+
+    if number == 0:
+        return [], "No films were asked for (--videos 0)."
+    if problem := drawing.gl_problem():
+        print(f"No video: {problem}", file=sys.stderr)
+        return [], f"No video: {problem}"
+    output_folder(folder)
+    model = functools.cache(lambda config: build_model(config, track.sensors))
+    made = []
+    chosen = to_film(played, number)
+    for place, episode, kind in tqdm(chosen, unit="film", desc="filming", file=sys.stderr, disable=quiet):
+        cell, several = cells[place], len(cells) > 1
+        path = folder / f"seed-{episode.seed}{'-' + cell.slug if several else ''}.webm"
+        film.film(model(cell.config), episode, path, title=f"{name}: {cell.name}" if several else name)
+        where = f" in '{cell.name}'" if several else ""
+        made.append((path, f"seed {episode.seed}{where}{kind and f', {kind}'}: SNS {sns(episode):.1f}"))
+    return made, ""
+
+
+def _loaded(results):
+    """Results, or those in a folder or a file of that name."""
+    return results if isinstance(results, Results) else Results.load(results)
+
+
+def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.Path | None = None) -> dict[str, Any]:
+    """Results beside each other, with paired differences from the first, as `bson compare` does: the content of
+    compare.json.
+
+    results: Results, or folders that an evaluation wrote, or their results.json. out: folder for compare.json and
+    compare.html; None: nothing is written. Raises ValueError where they can't be compared.
+    """
+    from bson.compare import compare, make_page
+
+    content = compare([_loaded(each) for each in results])
+    if out is not None:
+        page, folder = make_page(content), check_folder(out)
+        for file in ("compare.json", "compare.html"):
+            check_file(folder / file)
+        with lock_folder(folder):
+            write_json(folder / "compare.json", content)
+            write_bytes(folder / "compare.html", page.encode())
+    return content
+
+
+def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
+    """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
+
+    results: as of `compare`. readme: a file into which it is also put, between its marks. Raises ValueError where
+    results of a suite are not of the same episodes.
+    """
+    from bson.leaderboard import fill_readme, leaderboard
+
+    text = leaderboard([_loaded(each) for each in results])
+    if readme is not None:
+        fill_readme(readme, text)
+    return text
+
+
+def film(
+    agent: Any,
+    out: str | pathlib.Path = "episode.webm",
+    *,
+    seed: int = 0,
+    step: int | None = None,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    quiet: bool = False,
+) -> pathlib.Path:
+    """Films the episode `seed` of an agent, as `bson render` does; returns the path.
+
+    out: a .webm film, or a .png picture of the control step `step` (default: halfway; -1 is the last). The rest as of
+    `evaluate`. Raises UsageError, before anything is played where the request can't be met.
+    """
+    from bson import film
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.evaluate import run_episodes
+    from bson.simulation.scene import build_model
+    from bson.task import TaskConfig
+    from bson.tracks import make_track
+    from macid import drawing
+
+    config, name = TaskConfig().replace(**overrides or {}), agent_label(agent)
+    make_agent = load_agent(agent, untrained)
+    seen = make_track(track or make_agent.track, sensor or make_agent.sensor)
+    check_settings(make_agent, [config], seen)
+    path = pathlib.Path(out)
+    if path.suffix not in (".webm", ".png"):
+        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
+    check_file(path)
+    if problem := drawing.gl_problem():
+        raise UsageError(f"No pictures here: {problem}")
+    _check_spawn(config, [seed])
+    with _bar(name, False, quiet, None, False, 1, 0) as bar:
+
+        def progress(steps, episode):
+            bar(steps, episode is not None)
+
+        (episode,) = run_episodes(make_agent, config, seen, [seed], name, progress)
+    if episode.fault:
+        raise UsageError(f"Physics failed in the episode of seed {seed}: {episode.fault}. Choose another --seed.")
+    model = build_model(config, seen.sensors)
+    if path.suffix == ".png":
+        step = len(episode.pose) // 2 if step is None else step
+        if not -len(episode.pose) <= step < len(episode.pose):
+            raise UsageError(f"--step must be below {len(episode.pose)}, the episode's length, not {step}.")
+        with new_folder(path.parent):
+            film.still(model, episode, path, step)
+    else:
+        with new_folder(path.parent):
+            film.film(model, episode, path, title=name)
+    return path
+
+
+@contextlib.contextmanager
+def agents_extra():
+    """Tells what to install where the extra `agents` is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise UsageError(f"Training needs {error.name}: pip install 'bson-macid[agents]'.") from None
+
+
+def train(
+    algo: str = "ppo",
+    out: str | pathlib.Path = "runs",
+    *,
+    seed: int = 0,
+    seeds: int = 1,
+    steps: int = 1_000_000,
+    worlds: int = 16,
+    preset: str = "fast",
+    overrides: dict[str, Any] | None = None,
+    resume: bool = False,
+    tensorboard: bool = False,
+    executor: str | Executor = "local",
+    ray_address: str | None = None,
+    workers: int | None = None,
+) -> list[pathlib.Path]:
+    """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
+    - 1.
+
+    algo, preset: of bson.learning.train.ALGORITHMS and PRESETS. steps: of all worlds. worlds: at once. overrides:
+    fields of TaskConfig that are changed. resume: goes on from checkpoints. executor, ray_address, workers: see
+    macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises UsageError, also where the extra
+    `agents` is missing.
+    """
+    with agents_extra():
+        from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig
+
+    for value, valid, what in ((algo, ALGORITHMS, "algorithm"), (preset, PRESETS, "preset")):
+        if value not in valid:
+            raise UsageError(f"Unknown {what} '{value}'. Choose one of {', '.join(valid)}.")
+    configs = [
+        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=PRESETS[preset][algo])
+        for one in range(seed, seed + seeds)
+    ]
+    return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
+
+
+def train_configs(configs, out, resume=False, tensorboard=False, executor="local", ray_address=None, workers=None):
+    """As `train`, of any TrainConfigs."""
+    with agents_extra():
+        from bson.learning import train as training
+    from macid import start
+
+    start.cleaning_up()
+    with make_executor(executor, ray_address, workers) as runner:
+        if runner.workers is None:
+            return [training.train_with_bar(config, out, resume, tensorboard) for config in configs]
+        if tensorboard:
+            raise UsageError("--tensorboard is for trainings in this process: leave it out with --executor ray.")
+        return training.train_apart(runner, configs, out, resume)

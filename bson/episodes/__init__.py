@@ -1,0 +1,1 @@
+"""Episodes on worlds: played by a session, kept by a recorder."""

@@ -1,0 +1,58 @@
+"""What a robot did to others, told by a pair: its episode, and the same people for as long without it."""
+
+import numpy as np
+
+from macid import geometry
+from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
+
+SOCIAL_SPACE = 3.6  # within which somebody is met, surface to surface [m]
+
+
+def _first_ways(people, goals):
+    """When people (T + 1, K, 3) reach their `goals` (K, 2), as a control step, the last one where they never do: (K,);
+    and the metres walked until then that brought them no closer: (K,)."""
+    distance = geometry.norm(people[..., :2] - goals)
+    there = distance <= GOAL_RADIUS
+    step = np.where(there.any(axis=0), there.argmax(axis=0), len(people) - 1)
+    walked = np.concatenate([0 * distance[:1], np.cumsum(geometry.norm(np.diff(people[..., :2], axis=0)), axis=0)])
+    who = np.arange(people.shape[1])
+    return step, walked[step, who] - (distance[0] - distance[step, who])
+
+
+def _contacts(people, who):
+    """Control steps after which each of the people `who` (K,) bool touches another of `people` (T + 1, K, 3): (K,)."""
+    places, steps = people[1:, :, :2], np.zeros(people.shape[1], int)
+    for person in np.flatnonzero(who):
+        apart = geometry.norm(places - places[:, person, None])
+        apart[:, person] = np.inf
+        steps[person] = (apart.min(axis=-1) <= 2 * RADIUS + CONTACT_GAP).sum()
+    return steps
+
+
+def _met(episode):
+    """Whom the robot came near, within SOCIAL_SPACE as discs, before they reached their first goal: (K,) bool."""
+    apart = geometry.norm(episode.people[..., :2] - episode.pose[:, None, :2])
+    near = apart < SOCIAL_SPACE + episode.robot_radius + RADIUS
+    return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
+
+
+def find_effects(episode) -> dict[str, np.ndarray]:
+    """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
+    others; {} where the Episode has no pair (people_alone).
+
+    delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as
+    there at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what
+    brings them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
+    """
+    if episode.people_alone is None:
+        return {}
+    both = episode.people, episode.people_alone
+    (step, way), (step_alone, way_alone) = (_first_ways(people, episode.people_goals) for people in both)
+    met = _met(episode)
+    contacts, contacts_alone = (_contacts(people, met) for people in both)
+    there = np.minimum(step, step_alone) < len(episode.people) - 1
+    return {
+        "delay": np.where(met & there, (step - step_alone) * episode.period, np.nan),
+        "detour": np.where(met, way - way_alone, np.nan),
+        "added_contact": np.where(met, (contacts - contacts_alone) * episode.period, np.nan),
+    }

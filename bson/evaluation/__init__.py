@@ -1,0 +1,1 @@
+"""Evaluations: agents on many episodes, wherever these are played."""

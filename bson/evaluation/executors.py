@@ -1,0 +1,237 @@
+"""Episodes as jobs of an executor (macid.executors), and what of a user's files they need elsewhere."""
+
+import dataclasses
+import functools
+import math
+import pathlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bson.agents import BUILT_IN, learned, load_agent
+from bson.episodes.record import Episode
+from bson.evaluate import BATCH, pair, run_episodes
+from bson.robot import load_robot
+from bson.suites import Cell
+from bson.task import TaskConfig
+from bson.tracks import make_track
+from macid.executors import Carried, Executor, carry_files, carry_module
+from macid.maps import map_files
+
+_TELL = 0.2  # between messages on control steps [s]
+_MODEL = frozenset(
+    [".xml", ".urdf", ".toml", ".stl", ".obj", ".msh", ".mtl", ".dae", ".skn", ".png", ".jpg", ".bin", ".hf"]
+)  # a robot's files
+
+
+@dataclasses.dataclass(frozen=True)
+class Play:
+    """Episodes of one cell that are to be played. agent: what `load_agent` takes."""
+
+    agent: Any
+    config: TaskConfig
+    track: tuple[Any, Any]  # what make_track takes
+    seeds: tuple[int, ...]
+    called: str = "agent"
+    untrained: bool = False  # whether it may drive in another setting than it was trained in
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """Episodes of one cell of which the same people are to be seen without the robot."""
+
+    config: TaskConfig
+    episodes: tuple[Episode, ...]
+
+
+def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
+    """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
+    agent's factory, where it is loaded already."""
+    make_agent = make_agent or load_agent(job.agent, job.untrained)
+    run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
+
+
+def pair_up(job: Pair, send: Callable[[Any], None]) -> None:
+    """The work of a Pair: sends (control steps, Episode or None) as `pair` tells its progress."""
+    pair(job.config, job.episodes, _told_by(send))
+
+
+def _told_by(send):
+    """The `progress` of run_episodes that sends at once what ended, and steps alone now and then."""
+    steps, last = 0, time.monotonic()
+
+    def progress(more, episode):
+        nonlocal steps, last
+        steps += more
+        if episode is not None or time.monotonic() - last > _TELL:
+            send((steps, episode))
+            steps, last = 0, time.monotonic()
+
+    return progress
+
+
+def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:
+    """`seeds` of one cell in parts, each a job: all at once in this process; elsewhere about two jobs a worker over the
+    `total` that is to be played, of at most a batch. Results don't depend on it."""
+    if executor.workers is None:
+        return [seeds] if seeds else []
+    most = max(1, min(BATCH, math.ceil(total / (2 * executor.workers))))
+    return [seeds[first : first + most] for first in range(0, len(seeds), most)]
+
+
+def carried_agent(agent: Any) -> Carried:
+    """What of the agent's files travels: its file or its module's, the modules beside it that it imported, and the
+    files that its attribute `files` names, from its folder; of a policy its .npz and .json. Nothing of what is
+    installed."""
+    if not isinstance(agent, str):
+        return carry_module(getattr(agent, "__module__", None) or "", getattr(agent, "files", ()))
+    if agent in BUILT_IN or agent in learned.names():
+        return Carried()
+    if agent.endswith(".npz"):
+        return carry_files(_network(agent))
+    module, _colon, attribute = agent.rpartition(":") if ":" in agent else (agent, "", "agent")
+    top = None
+    if module.endswith(".py"):
+        path = pathlib.Path(module)
+        module, top = f"bson_agent_{path.stem}", path.parent
+    found = getattr(sys.modules.get(module), attribute or "agent", None)
+    return carry_module(module, getattr(found, "files", ()), top)
+
+
+def carried_task(config: TaskConfig) -> Carried:
+    """What of the files that a task names travels: the map's, the robot's folder, pedestrians' policies."""
+    files = [] if config.map is None else map_files(config.map)
+    if config.robot.name.endswith(".toml"):
+        robot = load_robot(config.robot.name)
+        for folder in dict.fromkeys([pathlib.Path(config.robot.name).parent, pathlib.Path(robot.model).parent]):
+            files += [file for file in folder.rglob("*") if file.suffix.lower() in _MODEL]
+    for model in config.model_shares:
+        files += _network(model) if model.endswith(".npz") else []
+    return carry_files(files)
+
+
+def _network(path):
+    return [pathlib.Path(path), pathlib.Path(path).with_suffix(".json")]
+
+
+def play_each(
+    executor: Executor,
+    plays: Sequence[Play],
+    whole: Callable[[Play, list[Episode]], None],
+) -> None:
+    """Plays episodes of different agents and settings, all side by side.
+
+    whole: called with each of `plays` as it has all its Episodes, in the order of its seeds.
+    """
+    carried = Carried()
+    for each in plays:
+        carried += carried_agent(each.agent) + carried_task(each.config)
+    found = [{} for _ in plays]
+    total = sum(len(each.seeds) for each in plays)
+    parts = [(place, share) for place, each in enumerate(plays) for share in shares(each.seeds, total, executor)]
+
+    def receive(index, piece):
+        place, episode = parts[index][0], piece[1]
+        if episode is not None:
+            found[place][episode.seed] = episode
+            if len(found[place]) == len(plays[place].seeds):
+                whole(plays[place], [found[place].pop(seed) for seed in plays[place].seeds])
+
+    jobs = [_left_to_play(plays[place], share, found[place]) for place, share in parts]
+    executor.run(play, jobs, receive, carried)
+
+
+def play_cells(
+    executor: Executor,
+    agent: Any,
+    make_agent: Any,
+    untrained: bool,
+    called: str,
+    cells: Sequence[Cell],
+    track: tuple[Any, Any],
+    seeds: Sequence[int],
+    found: list[dict[int, Episode]],
+    paired: bool,
+    watch: Callable[[str | None, bool, int, int], Any],
+    keep: Callable[[Cell, Episode], None],
+) -> list[list[Episode]]:
+    """The Episodes `seeds` of each of `cells`.
+
+    make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep:
+    called with each that ends. watch: gives a context of a function progress(control steps, whether an episode ended),
+    of the cell's name (None: of all cells) and whether it is without the robot, how many episodes there are, and how
+    many are done. paired: also plays without the robot.
+    """
+    whole = executor.workers is not None  # all cells at once, elsewhere
+
+    def play_of(cell):
+        return Play(agent, cell.config, track, tuple(seeds), called, untrained)
+
+    playing = play if whole else functools.partial(play, make_agent=make_agent)
+    carried = Carried()
+    if whole:
+        carried += carried_agent(agent)
+        for config in {cell.config: None for cell in cells}:
+            carried += carried_task(config)
+    for places in [range(len(cells))] if whole else [[place] for place in range(len(cells))]:
+        name = None if whole else cells[places[0]].name
+
+        def missing(place):
+            return [seed for seed in seeds if seed not in found[place]]
+
+        def unpaired(place):
+            each = (found[place][seed] for seed in seeds)
+            return [one for one in each if not one.fault and one.people_alone is None]
+
+        def run(work, parts, without, done, places=places, name=name):
+            with watch(name, without, len(seeds) * len(places), done) as progress:
+
+                def receive(index, piece):
+                    steps, episode = piece
+                    if episode is not None:
+                        place = parts[index][0]
+                        keep(cells[place], episode)
+                        found[place][episode.seed] = episode
+                    progress(steps, episode is not None)
+
+                executor.run(work, [part[1] for part in parts], receive, carried)
+
+        total = sum(len(missing(place)) for place in places)
+        parts = [
+            (place, _left_to_play(play_of(cells[place]), share, found[place]))
+            for place in places
+            for share in shares(missing(place), total, executor)
+        ]
+        run(playing, parts, False, len(seeds) * len(places) - total)
+        if paired:
+            total = sum(len(unpaired(place)) for place in places)
+            parts = [
+                (place, _left_to_pair(cells[place], share, found[place]))
+                for place in places
+                for share in shares([one.seed for one in unpaired(place)], total, executor)
+            ]
+            run(pair_up, parts, True, len(seeds) * len(places) - total)
+    return [[each[seed] for seed in seeds] for each in found]
+
+
+def _left_to_play(whole, share, found):
+    """The job (macid.executors.Job) of the episodes `share` of the Play `whole`, without those `found`, {seed:
+    Episode}."""
+
+    def left():
+        seeds = tuple(seed for seed in share if seed not in found)
+        return dataclasses.replace(whole, seeds=seeds) if seeds else None
+
+    return left
+
+
+def _left_to_pair(cell, share, found):
+    """The job of the episodes `share` of a cell without the robot."""
+
+    def left():
+        episodes = tuple(found[seed] for seed in share)
+        episodes = tuple(one for one in episodes if not one.fault and one.people_alone is None)
+        return Pair(cell.config, episodes) if episodes else None
+
+    return left

@@ -1,0 +1,1 @@
+"""The benchmark through the interfaces of others."""

@@ -1,0 +1,1 @@
+"""What computes physics, rays and pictures of many worlds: one file an engine, all of them as `base.Engine` says."""

@@ -1,0 +1,205 @@
+"""The people of many worlds: the ways that they go, and what they decide.
+
+Pedestrians decide by one compiled program a world, since a vectorised one may round differently: what somebody does
+depends on nothing in any other world, bit for bit. Worlds of any counts share a few compiled decisions: people and
+boxes are filled up to the next of a few sizes, with people and boxes out of everybody's reach (`decision`).
+"""
+
+import copy
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bson.task import Spawn, TaskConfig, controller, stops, ways_checker
+from macid import contacts, layout
+from macid.state import GOAL_RADIUS, CrowdState, parking_place
+
+# Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No
+# step leads over a power of two, at which the distance to a disc is rounded otherwise (macid.geometry.first_disc).
+ROWS = (2, 4, 8, 16, 25, 32, 51, 64, 101, 128, 201, 256, 384, 512, 768, 1024, 1536, 2048)
+BOXES = (4, 16, 44, 85, 128, 192, 256)
+_BOX_STEP = 256  # of more boxes than that
+_COLUMNS = (2, 1, 2, 1, 2, 1, 1)  # of a decision's rows: position, yaw, velocity, yaw rate, goal, lcf, model
+
+
+def rows_for(number: int) -> int:
+    """The first of ROWS that `number` people and a robot fit in."""
+    return next(rows for rows in ROWS if rows > number)
+
+
+def _box_rows(number):
+    """The first of BOXES, or multiple of _BOX_STEP, that `number` boxes fit in."""
+    return next((rows for rows in BOXES if rows >= number), -(-number // _BOX_STEP) * _BOX_STEP)
+
+
+def _ways(layout, router, people, places, goals):
+    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last.
+
+    They lead along the person's route, if the map has routes, and around obstacles, if there is a router. Raises
+    NoFreeSpace."""
+    ways = [stops(layout, *each) for each in zip(people, places, goals, strict=True)]
+    if router is None or not ways:
+        return ways
+    starts = np.concatenate([[place, *way[:-1]] for place, way in zip(places, ways, strict=True)])
+    legs = iter(router.paths(starts, np.concatenate(ways)))
+    return [np.concatenate([next(legs) for _ in way]) for way in ways]
+
+
+@functools.lru_cache(64)
+def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
+    """The decision of up to `rows` people among `boxes` boxes, by `controllers`, jitted: (rows, sum of _COLUMNS) and
+    (boxes, 5) to (rows * 3,). The robot is one more disc, after the people; whoever fills the rows up comes last, out
+    of everybody's reach. Worlds of all counts share a few: compiling takes longer than all else that makes a World.
+
+    What fills up changes nothing of learned people's decisions, bit for bit. Of rules that add up forces, and of ORCA,
+    it may change the last bit, as the compiler adds in another order: so all worlds of one count have the same rows.
+    """
+
+    def decide(packed, boxes):
+        position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], contacts.touching(position, boxes))
+        commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
+        command = commands[0]
+        for number, other in enumerate(commands[1:], start=1):
+            command = jnp.where(models == number, other, command)
+        return command.ravel()
+
+    return jax.jit(decide)
+
+
+class People:
+    """`number` people in each of `nworld` worlds, among `boxes` boxes.
+
+    heading (nworld, K, 2): the next waypoint, or the goal [m], once planned. layouts: each world's map.
+    """
+
+    def __init__(self, nworld: int, number: int, boxes: int):
+        self.heading = np.zeros((nworld, number, 2))
+        self.layouts: list[Any] = [None] * nworld
+        self._routers: list[Any] = [None] * nworld
+        self._rngs: list[Any] = [None] * nworld
+        self._routes: list[list] = [[] for _ in range(nworld)]  # for each person, the waypoints after `heading`
+        self._unplanned: list[Any] = [None] * nworld  # people's starts and goals, until their ways are needed
+        rows, box_rows = rows_for(number), _box_rows(boxes)
+        away = parking_place(np.arange(max(rows, box_rows)))
+        self._rows = np.zeros((rows, sum(_COLUMNS)), np.float32)  # of a decision for which nobody is there
+        self._rows[:, :2] = self._rows[:, 6:8] = away[:rows]
+        self._boxes = np.zeros((nworld, box_rows, 5), np.float32)
+        self._boxes[:, :, :2], self._boxes[:, :, 2:4] = -away[:box_rows], 0.1
+
+    def configure(self, config: TaskConfig) -> None:
+        """Goes on in the setting `config`, with as many people and boxes."""
+        self._controllers = tuple(controller(name, config.decision_period) for name in config.model_shares)
+        self._config = config
+
+    def begin(self, index: int, drawn: Spawn, rng: np.random.Generator) -> None:
+        """Begins the episode that was drawn in world `index`; from `rng` come the goals after the first."""
+        self.layouts[index], self._routers[index], self._rngs[index] = drawn.layout, drawn.router, rng
+        self._boxes[index, : len(drawn.layout.boxes)] = drawn.layout.boxes
+        self._unplanned[index] = drawn.people[:, :2].copy(), drawn.people_goals
+
+    def begun(self, index: int) -> bool:
+        """Whether world `index` has had an episode."""
+        return self._rngs[index] is not None
+
+    def plan(self, ids: Iterable[int]) -> None:
+        """Finds the ways of the people of the worlds `ids` whose episodes have just begun.
+
+        That takes longer than all else in a reset, so it waits until somebody walks or asks; on every map, spawn has
+        seen to it that there are ways."""
+        for index in ids:
+            if self._unplanned[index] is not None:
+                starts, goals = self._unplanned[index]
+                ways = _ways(self.layouts[index], self._routers[index], range(len(starts)), starts, goals)
+                self.heading[index] = np.reshape([way[0] for way in ways], (-1, 2))
+                self._routes[index], self._unplanned[index] = [way[1:] for way in ways], None
+
+    def destinations(self, index: int) -> np.ndarray:
+        """Where the people of a world go, at the end of their ways: (K, 2) [m]."""
+        if self._unplanned[index] is not None:
+            return self._unplanned[index][1].copy()
+        ways = zip(self.heading[index], self._routes[index], strict=True)
+        return np.reshape([route[-1] if len(route) else goal for goal, route in ways], (-1, 2))
+
+    def decide(
+        self,
+        ids: np.ndarray,
+        pose: np.ndarray,
+        rate: np.ndarray,
+        robot_pose: np.ndarray,
+        robot_rate: np.ndarray,
+        lcf: np.ndarray,
+        models: np.ndarray,
+    ) -> list[np.ndarray]:
+        """What the people of the worlds `ids` want: a list of (3 K,), world-frame velocity [m/s] and yaw rate [rad/s].
+
+        pose, rate (n, K, 3): x, y, yaw and their rates; robot_pose, robot_rate (n, 3): the robot's; lcf, models (n, K).
+        The calls overlap: JAX runs them while the next begins.
+        """
+        k = self.heading.shape[1]
+        packed = np.repeat(self._rows[None], len(ids), axis=0)
+        packed[:, :k, :3], packed[:, :k, 3:6] = pose, rate
+        packed[:, :k, 6:8], packed[:, :k, 8], packed[:, :k, 9] = self.heading[ids], lcf, models
+        packed[:, k, :3], packed[:, k, 3:6] = robot_pose, robot_rate
+        packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # where it wants to go, as far as people can tell
+        decide = decision(self._controllers, packed.shape[1], self._boxes.shape[1])
+        commands = [decide(packed[row], self._boxes[index]) for row, index in enumerate(ids)]
+        return [np.asarray(command)[: 3 * k] for command in commands]
+
+    def advance(self, ids: np.ndarray, places: np.ndarray, draws: Callable) -> None:
+        """Lets people of the worlds `ids`, now at `places` (n, K, 2), go on to the next waypoint from theirs, and from
+        their goal to a new one. draws(rng): called before a goal is drawn from the Generator `rng`."""
+        offset = places - self.heading[ids]
+        there = np.argwhere((offset**2).sum(axis=-1) <= GOAL_RADIUS**2)
+        finished = {}
+        for row, person in there:
+            index = ids[row]
+            route = self._routes[index][person]
+            if len(route):
+                self.heading[index, person], self._routes[index][person] = route[0], route[1:]
+            else:
+                finished.setdefault(row, []).append(person)
+        for row, who in finished.items():
+            self._new_goals(ids[row], np.array(who), places[row, who], draws)
+
+    def _new_goals(self, index, who, places, draws):
+        """New goals, and ways to them, for the people `who` of a world, from `places` where they stand.
+
+        Who finds none (crowded into a corner of a small map) stays, and asks again at the next decision.
+        """
+        map_layout, router = self.layouts[index], self._routers[index]
+        try:
+            if map_layout.routes:  # back to the other end
+                ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
+                goals = [
+                    pair[((pair - place) ** 2).sum(axis=-1).argmax()] for pair, place in zip(ends, places, strict=True)
+                ]
+            else:
+                draws(self._rngs[index])
+                region = map_layout.regions.get("people_goal")
+                distance, joins = self._config.people_goal_distance, ways_checker(self._config, router)
+                goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
+            ways = _ways(map_layout, router, who, places, goals)
+        except layout.NoFreeSpace:
+            return
+        for person, way in zip(who, ways, strict=True):
+            self.heading[index, person], self._routes[index][person] = way[0], way[1:]
+
+    def own_generators(self, memo: dict) -> None:
+        """Goes on with copies of its Generators (memo: copy.deepcopy's), so that no other people draw from them."""
+        self._rngs = copy.deepcopy(self._rngs, memo)
+
+    def save(self) -> dict:
+        """All that the next calls depend on, for `restore`; but for the state of Generators."""
+        lists = {name: list(getattr(self, name)) for name in ("layouts", "_routers", "_rngs", "_unplanned")}
+        arrays = {name: getattr(self, name).copy() for name in ("heading", "_boxes")}
+        return {**lists, **arrays, "_routes": [list(ways) for ways in self._routes]}
+
+    def restore(self, saved: dict) -> None:
+        """Goes back to what `save` gave, of these people or of others, as many, in as many worlds."""
+        for name, value in saved.items():
+            getattr(self, name)[:] = value

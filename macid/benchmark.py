@@ -1,0 +1,159 @@
+"""Pedestrians for Python: what the commands `macid evaluate`, `watch` and `train` do, as calls.
+
+Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError.
+"""
+
+import pathlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from macid import start
+from macid.executors import Executor, make_executor
+from macid.files import UsageError, check_file, check_folder, new_folder, write_json
+
+
+def evaluate(
+    pedestrian: str,
+    levels: Sequence[int | str] = (1, 2, 3, 4),
+    *,
+    episodes: int = 5,
+    seed: int = 0,
+    period: float | None = None,
+    lcf: tuple[float, float] | None = None,
+    bins: bool = False,
+    engine: str = "native",
+    out: str | pathlib.Path | None = None,
+    show: Callable[[str], None] = lambda line: None,
+) -> list[dict[str, Any]]:
+    """A pedestrian model on levels (Table II), as `macid evaluate` does: rows of macid.evaluate.evaluate_level.
+
+    pedestrian: a rule, a shipped policy, or a policy file (.npz). period: between decisions [s] (default: the policy's
+    own). lcf: range of LCFs (default: Table II's). bins: one row for each of Table I's six sections of the LCFs
+    instead. out: a JSON file for the rows; None: nothing is written. show: called with a line as a level begins. Raises
+    UsageError.
+    """
+    from macid import evaluate as scoring
+    from macid.crowd import CrowdConfig
+    from macid.layout import load_level
+
+    period = scoring.usual_period(pedestrian) if period is None else period
+    for level in levels:
+        load_level(level)
+    if bins and lcf:
+        raise UsageError("--bins has LCFs of its own: leave --lcf out.")
+    ranges = scoring.lcf_bins(pedestrian) if bins else [tuple(lcf or scoring.table_lcf(pedestrian))]
+    configs = [CrowdConfig(period=period, lcf=each) for each in ranges]
+    path = None if out is None else check_file(out, "JSON file")
+    rows = []
+    for level in levels:
+        show(f"{pedestrian} on {scoring.level_name(level)} ...")
+        rows += [scoring.evaluate_level(pedestrian, level, episodes, seed, config, engine) for config in configs]
+    if path is not None:
+        with new_folder(path.parent):
+            write_json(path, rows)
+    return rows
+
+
+def watch(
+    pedestrian: str = "macid",
+    out: str | pathlib.Path = "crowd.webm",
+    *,
+    level: int | str = 2,
+    lcf: tuple[float, float] | None = None,
+    seed: int = 0,
+    seconds: float = 20.0,
+    period: float | None = None,
+    speed: int = 1,
+    follow: int | None = None,
+    at: float | None = None,
+    scale: float = 0.75,
+    show: Callable[[str], None] = lambda line: None,
+    quiet: bool = False,
+) -> pathlib.Path:
+    """Films a crowd, as `macid watch` does; returns the path.
+
+    out: a .webm film, or a .png picture of the time `at` [s] (default: halfway). seconds: of the crowd's time. speed:
+    how many times as fast a film plays. follow: through whose eyes to look (default: one with far to go). scale: of the
+    picture, 1 is 1500 x 760. quiet: no progress on stderr. The rest as of `evaluate`. Raises UsageError.
+    """
+    from tqdm import tqdm
+
+    from macid import drawing, watch
+    from macid.crowd import CrowdConfig
+    from macid.evaluate import level_name, table_lcf, usual_period
+    from macid.layout import load_level
+
+    period = usual_period(pedestrian) if period is None else period
+    people = load_level(level).pedestrians
+    path = pathlib.Path(out)
+    if path.suffix not in (".webm", ".png"):
+        raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
+    check_file(path)
+    if not 0 < seconds <= 600:
+        raise UsageError(f"--seconds must be above 0 and at most 600, not {seconds:g}.")
+    if follow is not None and not 0 <= follow < people:
+        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {follow}.")
+    if not 0.25 <= scale <= 2:
+        raise UsageError(f"--scale must be 0.25 to 2, not {scale:g}.")
+    if at is not None and path.suffix != ".png":
+        raise UsageError("--at is for a picture: let --out end in .png.")
+    if at is not None and not 0 <= at <= seconds:
+        raise UsageError(f"--at must be 0 to {seconds:g}, the episode's length in seconds, not {at:g}.")
+    config = CrowdConfig(period=period, duration=seconds, lcf=tuple(lcf or table_lcf(pedestrian)))
+    if problem := drawing.gl_problem():
+        raise UsageError(f"No pictures here: {problem}")
+    show(f"{pedestrian} on {level_name(level)} ...")
+    start.cleaning_up()
+    recording = watch.record(pedestrian, level, config, seed)
+    with new_folder(path.parent):
+        if path.suffix == ".png":
+            watch.still(recording, path, at, follow, scale)
+        else:
+            with tqdm(unit="frame", desc="filming", file=sys.stderr, disable=quiet) as bar:
+
+                def progress(done, total):
+                    bar.total = total
+                    bar.update()
+
+                watch.film(recording, path, speed, follow, scale, progress)
+    return path
+
+
+def train(
+    method: str = "macid",
+    out: str | pathlib.Path = "runs",
+    *,
+    preset: str = "fast",
+    seed: int = 0,
+    seeds: int = 1,
+    resume: bool = False,
+    tensorboard: bool = False,
+    executor: str | Executor = "local",
+    ray_address: str | None = None,
+    workers: int | None = None,
+    show: Callable[[str], None] = print,
+    **fields: Any,
+) -> list[pathlib.Path]:
+    """Trains pedestrians, as `macid train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` +
+    `seeds` - 1, each with policy.npz, policy.json and curve.csv.
+
+    preset, fields: see macid.learning.train.preset; `nworld`, `agent_steps`, `level`, `engine`, `period` are such
+    fields. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor. In this
+    process all seeds are trained at once, and sums are rounded otherwise than alone; elsewhere each is trained as if
+    alone. show: called with lines on the progress. Raises UsageError or another ValueError of one line.
+    """
+    from macid.learning import train as training
+    from macid.learning.jobs import folder_of
+
+    first = training.preset(preset, method=method, seed=seed, **fields)
+    folder = check_folder(out)
+    configs = training.seeds_of(first, seeds)
+    start.cleaning_up()
+    with make_executor(executor, ray_address, workers) as runner:
+        if runner.workers is not None:
+            if tensorboard:
+                raise UsageError("--tensorboard is for trainings in this process: leave it out with --executor ray.")
+            return training.train_apart(runner, configs, folder, resume, show)
+        training.train(first, folder, seeds, resume=resume, show=show, tensorboard=tensorboard)
+    return [folder / folder_of(config) for config in configs]

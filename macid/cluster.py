@@ -1,0 +1,368 @@
+"""Jobs on the machines of a Ray cluster (extra `ray`): the executor `ray`, and what runs in its workers.
+
+A job is one task of one core. What it sends comes back at once, as bytes, so a worker that is killed costs what was not
+sent yet: the job is begun anew with what is left. Workers have the environment that results depend on, and refuse to
+work with another version of this project, MuJoCo, JAX or NumPy.
+"""
+
+import collections
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import os
+import pathlib
+import pickle
+import queue
+import secrets
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import traceback
+from typing import Any
+
+from macid import assets, start
+from macid.executors import Carried
+from macid.files import UsageError, one_line, start_mujoco, versions
+from macid.threads import VARIABLE
+
+INSTALL = "pip install 'bson-macid[ray]'"
+# The environment of Ray: it tells nobody of its use, its workers' priority is this process's, not a lower one, and of a lost
+# worker we tell, not Ray, on standard output.
+_RAY = {
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "worker died or was killed",
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",
+}
+_ANSWER = 3.0  # within which a cluster's address has to answer [s]
+_LOSSES = 3  # of a job's workers, one after the other, of which none sent anything
+_STORE = 1 << 28  # bytes of the object store of a cluster of this machine alone
+_SAME = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")  # whose versions results depend on
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\4\0\0\0\0\0"  # how HTTP/2, and so gRPC, begins (RFC 9113, 3.4)
+_SETTINGS = 4  # the kind of the frame with which it is answered
+
+
+class Cluster:
+    """Runs jobs on a Ray cluster, see macid.executors.Executor: one that is there, or one of this machine alone, which
+    goes again."""
+
+    def __init__(self, address: str | None = None, workers: int | None = None):
+        """address, workers: as of macid.executors.make_executor. Raises UsageError where Ray is missing or nobody
+        answers."""
+        for name, value in _RAY.items():
+            os.environ.setdefault(name, value)
+        try:
+            import ray
+        except ImportError as error:
+            raise UsageError(f"--executor ray needs {error.name or 'ray'}: {INSTALL}.") from None
+        self._ray = ray
+        self.address = _checked(address or os.environ.get("RAY_ADDRESS") or "local")
+        self.workers = workers
+        self._wanted, self._ours, self._folder = workers, False, None
+
+    def __enter__(self) -> "Cluster":
+        ray = self._ray
+        if not ray.is_initialized():
+            start.cleaning_up()
+            quiet = {"log_to_driver": False, "logging_level": "ERROR"}
+            alone = {}
+            if self.address == "local":
+                os.environ.setdefault("RAY_AUTH_TOKEN", _token())  # Ray would note one in the home folder
+                self._folder = tempfile.mkdtemp(prefix="macid-ray-")
+                alone = {
+                    "num_cpus": self._wanted or os.cpu_count(),
+                    "include_dashboard": False,
+                    "object_store_memory": _STORE,
+                    "_temp_dir": self._folder,
+                }
+            try:
+                with start.quiet_children():
+                    ray.init(address=self.address, **alone, **quiet)
+            except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+                self.__exit__()
+                told = " ".join(str(error).split())[:400]
+                raise UsageError(
+                    f"Can't work on the Ray cluster '{self.address}': {told.rstrip('.')}. This machine has to be one "
+                    "of it (ray start --address HOST:PORT), with its token if it has one (RAY_AUTH_MODE=token)."
+                ) from None
+            except BaseException:
+                self.__exit__()
+                raise
+            self._ours = True
+        cores = int(ray.cluster_resources().get("CPU", 0))
+        if not cores:
+            self.__exit__()
+            raise UsageError(f"The Ray cluster '{self.address}' has no core to work with. Start one with --num-cpus.")
+        self.workers = self._wanted or cores
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._ours or self._folder:
+            self._ours = False
+            self._ray.shutdown()
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    def run(self, work, jobs, receive, carried: Carried) -> None:
+        """See macid.executors.Executor.run."""
+        ray = self._ray
+        packages = tuple(dict.fromkeys(["macid", work.__module__.partition(".")[0]]))
+        bundle = ray.put(_Bundle(carried.read(), carried.paths, os.getcwd(), packages, fingerprint(packages)))
+        if told := carried.told():
+            print(told, file=sys.stderr, flush=True)
+        task, environment = _task(ray), _environment()
+        waiting, running, lost = collections.deque(range(len(jobs))), {}, collections.Counter()
+        try:
+            while waiting or running:
+                while waiting and len(running) < self.workers:
+                    index = waiting.popleft()
+                    if (left := jobs[index]()) is not None:
+                        call = ray.cloudpickle.dumps((work, left))
+                        running[task.remote(environment, bundle, call)] = index
+                if not running:
+                    continue
+                ready, _ = ray.wait(list(running), num_returns=1, timeout=0.5)  # returns, so that Ctrl-C is heard
+                for pieces in ready:
+                    index = running[pieces]
+                    try:
+                        kind, piece = pickle.loads(ray.get(next(pieces)))
+                    except StopIteration:
+                        del running[pieces]
+                    except ray.exceptions.RayTaskError as error:
+                        raise UsageError(f"A worker can't begin: {one_line(str(error.cause), 400)}") from None
+                    except ray.exceptions.RayError as error:  # the worker is gone, or its machine
+                        del running[pieces]
+                        lost[index] += 1
+                        reason = one_line(str(error).partition("\n")[0], 300)
+                        if lost[index] > _LOSSES:
+                            raise UsageError(
+                                f"{lost[index]} workers were lost one after the other at the same work, and none sent "
+                                f"anything: {reason}"
+                            ) from None
+                        print("a worker was lost; what it had not sent is done anew", file=sys.stderr, flush=True)
+                        waiting.append(index)
+                    else:
+                        if kind == "error":
+                            raise piece
+                        lost[index] = 0
+                        receive(index, piece)
+        finally:
+            for pieces in running:
+                with contextlib.suppress(Exception):
+                    ray.cancel(pieces, force=True)
+
+
+@functools.cache
+def _token():
+    """The token of this process's own clusters."""
+    return secrets.token_hex(32)
+
+
+def _checked(address):
+    """`address`, where a cluster answers there. Raises UsageError within seconds."""
+    if address == "local":
+        return address
+    if address.startswith("ray://"):
+        raise UsageError(
+            f"--ray-address {address}: Ray's client is not used. Run this on a machine of the cluster, with "
+            "--ray-address auto."
+        )
+    where = _of_this_machine() if address == "auto" else address
+    if where is None:
+        raise UsageError(
+            "--ray-address auto: no Ray cluster runs on this machine. Begin one: ray start --head --port 6379 "
+            "--disable-usage-stats."
+        )
+    host, colon, port = where.rpartition(":")
+    if not (colon and host and port.isdecimal() and int(port) < 65536):
+        raise UsageError(f"--ray-address must be HOST:PORT or auto, not '{address}'.")
+    problem = "another program answers there"
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), _ANSWER) as connection:
+            connection.settimeout(_ANSWER)
+            connection.sendall(_PREFACE)
+            if connection.recv(9)[3:4] == bytes([_SETTINGS]):
+                return address
+    except TimeoutError:
+        problem = f"nothing came within {_ANSWER:g} s"
+    except (OSError, UnicodeError) as error:
+        problem = getattr(error, "strerror", None) or str(error)
+    raise UsageError(
+        f"No Ray cluster answers at '{where}' ({problem}). Begin one there: ray start --head --port {port} "
+        "--disable-usage-stats."
+    )
+
+
+def _of_this_machine():
+    """The address of the cluster of which this machine is, as `ray start` notes it; None where none is noted."""
+    noted = pathlib.Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
+    try:
+        return noted.read_text().strip() or None
+    except OSError:
+        return None
+
+
+def _environment():
+    """What of the environment workers need, so that results are this process's: XLA sums in as many threads as it would
+    here (see macid.learning.train.train)."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    kept = {name: os.environ[name] for name in ("MUJOCO_GL", "JAX_PLATFORMS", "XLA_FLAGS") if name in os.environ}
+    return {
+        "NPROC": os.environ.get("NPROC", str(cores)),
+        **dict.fromkeys((VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
+        **kept,
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class _Bundle:
+    """What goes to workers once for all jobs: files by absolute path, folders of modules, the current folder, and what
+    they must be like."""
+
+    files: dict[str, bytes]
+    paths: tuple[str, ...]
+    current: str
+    packages: tuple[str, ...]
+    fingerprint: dict[str, str]
+
+
+def _task(ray):
+    """The Ray task of a job. It is sent by value, so it begins in a worker that has another version of this, or
+    none."""
+
+    @ray.remote(max_retries=0, num_cpus=1, num_returns="streaming")
+    def work(environment, bundle, call):
+        import os
+        import pickle
+        import socket
+
+        os.environ.update(environment)
+        try:
+            from macid.cluster import serve
+        except ImportError as error:
+            told = f"A worker on {socket.gethostname()} lacks this version of bson-macid ({error})"
+            yield pickle.dumps(("error", ValueError(f"{told}: install the same on every machine.")))
+            return
+        yield from serve(bundle, call)
+
+    return work
+
+
+@functools.cache
+def fingerprint(packages: tuple[str, ...]) -> dict[str, str]:
+    """What results depend on: versions, and a hash of the code of `packages` and of the assets."""
+    digest = hashlib.sha256()
+    code = pathlib.Path(__file__).parent.parent
+    found = [(code, file) for name in packages for file in code.joinpath(name).rglob("*.py")]
+    folders = [folder for folder in assets.root().iterdir() if folder.name not in ("readme", "results")]
+    found += [(assets.root(), file) for folder in folders for file in folder.rglob("*")]
+    for root, file in sorted(found):
+        if file.is_file():
+            content = file.read_bytes()
+            digest.update(f"{file.relative_to(root)} {len(content)}\n".encode() + content)
+    made_with = versions(*_SAME)
+    return {"bson-macid": digest.hexdigest()[:12], **{name: made_with.get(name, "none") for name in _SAME}}
+
+
+def _other_version(bundle):
+    """What sets this worker apart from who asks, in a sentence; "" where nothing does."""
+    ours, wanted = fingerprint(bundle.packages), bundle.fingerprint
+    other = [f"{name} {ours.get(name)}, not {wanted[name]}" for name in wanted if ours.get(name) != wanted[name]]
+    if not other:
+        return ""
+    return (
+        f"The worker on {socket.gethostname()} has another version: {', '.join(other)} (of bson-macid: a hash of "
+        "code and assets). Install the same on every machine."
+    )
+
+
+def serve(bundle: _Bundle, call: bytes):
+    """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The
+    work is done in a thread."""
+    if problem := _other_version(bundle):
+        yield pickle.dumps(("error", UsageError(problem)))
+        return
+    sent = queue.SimpleQueue()
+
+    def run():
+        try:
+            start_mujoco()
+            with _unpacked(bundle) as root:
+                try:
+                    work, job = pickle.loads(call)
+                    work(moved(job, bundle.files, root), lambda piece: sent.put(pickle.dumps(("piece", piece))))
+                except Exception as error:
+                    sent.put(_told(error, root))
+        except Exception as error:
+            sent.put(_told(error, ""))
+        finally:
+            sent.put(None)
+
+    threading.Thread(target=run, daemon=True).start()
+    while (piece := sent.get()) is not None:
+        yield piece
+
+
+@contextlib.contextmanager
+def _unpacked(bundle):
+    """The bundle's files in a folder of their own, the place of the current folder in it being the current folder; all
+    is as it was behind it. Gives the folder, before which absolute paths go."""
+    before, paths = os.getcwd(), list(sys.path)
+    with tempfile.TemporaryDirectory(prefix="macid-worker-") as root:
+        try:
+            for path, content in bundle.files.items():
+                there = pathlib.Path(root + path)
+                there.parent.mkdir(parents=True, exist_ok=True)
+                there.write_bytes(content)
+            here = pathlib.Path(root + bundle.current)
+            here.mkdir(parents=True, exist_ok=True)
+            os.chdir(here)
+            sys.path[:0] = [root + path for path in bundle.paths]
+            yield root
+        finally:
+            os.chdir(before)
+            sys.path[:] = paths
+            for name, module in list(sys.modules.items()):
+                if (getattr(module, "__file__", None) or "").startswith(root):
+                    del sys.modules[name]
+
+
+def moved(value, files, root):
+    """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
+    `root`."""
+    if isinstance(value, str):
+        return root + value if value in files else value
+    if isinstance(value, dict):
+        return {key: moved(each, files, root) for key, each in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)(moved(each, files, root) for each in value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        old = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+        new = {name: moved(each, files, root) for name, each in old.items()}
+        if changed := {name: each for name, each in new.items() if each is not old[name] and _differs(each, old[name])}:
+            return dataclasses.replace(value, **changed)
+    return value
+
+
+def _differs(one, other):
+    try:
+        return bool(one != other)
+    except ValueError:  # arrays, which are never changed
+        return False
+
+
+def _told(error, root):
+    """An exception for who asked: pickled ("error", it), with this worker's paths as they are there."""
+    if isinstance(error, (ValueError, OSError, FloatingPointError, MemoryError)):  # a line for the user
+        error.args = tuple(each.replace(root, "") if root and isinstance(each, str) else each for each in error.args)
+        with contextlib.suppress(Exception):
+            content = pickle.dumps(("error", error))
+            if type(error).__module__.partition(".")[0] in ("builtins", "macid", "bson"):
+                pickle.loads(content)
+                return content
+        return pickle.dumps(("error", UsageError(str(error))))
+    lines = "".join(traceback.format_exception(error))
+    return pickle.dumps(("error", RuntimeError(f"In a worker on {socket.gethostname()}:\n{lines}")))
