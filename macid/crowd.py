@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from macid import geometry, physics, scene
+from macid import geometry, scene
+from macid.engines import make_engine
+from macid.engines.base import repeat
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, parking_place, physics_steps
@@ -86,7 +88,7 @@ class Crowd:
     def __init__(self, layout: Layout, config=CrowdConfig(), nworld=1, engine="native"):
         self.layout, self.config, self.nworld = layout, config, nworld
         self.model = scene.crowd_spec(layout, config.number, config.person).compile()
-        self.engine = physics.make_physics(engine, self.model, config.number, layout.boxes, nworld)
+        self.engine = make_engine(engine, self.model, config.number, layout.boxes, nworld)
         self._init = jax.jit(self.engine.init)
 
     @property
@@ -139,7 +141,7 @@ class Crowd:
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
             return state, after, collisions, travelled
 
-        carried = physics.repeat(substep, (state, after, collisions, travelled), self.config.substeps)
+        carried = repeat(substep, (state, after, collisions, travelled), self.config.substeps)
         state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)

@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from macid import metrics, physics
+from macid import metrics
 from macid.crowd import Crowd, CrowdConfig, Episode
+from macid.engines.base import DIVERGED
 from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
@@ -104,7 +105,7 @@ def _faults(crowd, end):
     """For each world of a crowd whose Episode ended, what failed in its physics: "" where nothing did."""
     mean_speed = np.asarray(end.travelled).max(axis=-1) / crowd.config.duration
     return [
-        what or ("" if speed <= physics.DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
+        what or ("" if speed <= DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
         for what, speed in zip(crowd.engine.faults(end.physics), mean_speed, strict=True)
     ]
 

@@ -60,7 +60,7 @@ class CrowdParallelEnv(ParallelEnv):
     of people; default: the level's, else the config's. reset(seed=s) begins the episode that
     `macid evaluate --episodes 1 --seed s` plays there; a reset without a seed goes on to the next.
     reset(options={"lcf": ...}) sets the LCFs of the episode as the attribute `lcf` does; they are drawn from
-    `config.lcf` otherwise. engine: "native" or "mjx".
+    `config.lcf` otherwise. engine: "native", "mjx" or "warp", see macid.engines.
 
     Raises ValueError for unknown names and values outside their domain.
     """
@@ -206,6 +206,7 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("Nobody is on the map. Call reset before step.")
         self._episode, told, moment = self._advance_jitted(self._episode, self._stack(actions))
         (observed, arrived, individual, neighborhood), moment = jax.device_get((told, moment))
+        self.crowd.engine.check()
         self._moments.append(moment)
         self._steps += 1
         rewards = individual if self.reward == "individual" else individual + self._lcf * neighborhood

@@ -21,6 +21,7 @@ import numpy as np
 from macid import command
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, add_executor, check_words
 from macid.crowd import CrowdConfig
+from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
@@ -101,11 +102,12 @@ def find_policies(configs, *folders):
     return found
 
 
-def train_missing(configs, found, folder, executor=None):
-    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds, side by
-    side on an executor of several workers."""
+def train_missing(configs, found, folder, executor=None, engine="native"):
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds: side by
+    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster so."""
+    kind, _ = engine_kind(engine)
     todo = [
-        replace(config, seed=seed)
+        replace(config, seed=seed, engine=engine)
         for config, seeds in configs.items()
         for seed in range(seeds)
         if seed not in found.get(config.name, {})
@@ -113,9 +115,17 @@ def train_missing(configs, found, folder, executor=None):
     if executor is not None and executor.workers is not None:
         train_apart(executor, todo, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
         return
-    for number, config in enumerate(todo, start=1):
-        print(f"training {number} of {len(todo)}: {config.name}, seed {config.seed}", file=sys.stderr, flush=True)
-        train(config, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
+    groups = []  # (config, how many seeds from its own on)
+    for config in todo:
+        before, count = groups[-1] if groups else (None, 0)
+        if kind.stacks and before and replace(before, seed=before.seed + count) == config:
+            groups[-1] = before, count + 1
+        else:
+            groups.append((config, 1))
+    for number, (config, count) in enumerate(groups, start=1):
+        seeds = f"seed {config.seed}" if count == 1 else f"seeds {config.seed} to {config.seed + count - 1}"
+        print(f"training {number} of {len(groups)}: {config.name}, {seeds}", file=sys.stderr, flush=True)
+        train(config, folder, count, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
 
 
 def evaluation(file, level, lcf, episodes):
@@ -309,7 +319,7 @@ def _make(args, executor):
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if not args.no_train:
-        train_missing(configs, find_policies(configs, args.policies, runs), runs, executor)
+        train_missing(configs, find_policies(configs, args.policies, runs), runs, executor, args.engine)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
         for name, by_seed in find_policies(configs, args.policies, runs).items()
@@ -441,6 +451,7 @@ def main():
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
+    parser.add_argument("--engine", type=command.name, default="native", help="of trainings: native, mjx or warp, see macid.engines")
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")

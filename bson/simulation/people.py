@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bson.task import Spawn, TaskConfig, controller, stops, ways_checker
-from macid import layout, physics
+from macid import contacts, layout
 from macid.state import GOAL_RADIUS, CrowdState, parking_place
 
 # Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No
@@ -75,7 +75,7 @@ def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
 
     def decide(packed, boxes):
         position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
-        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], physics.touching(position, boxes))
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], contacts.touching(position, boxes))
         commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
         command = commands[0]
         for number, other in enumerate(commands[1:], start=1):
