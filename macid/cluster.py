@@ -342,7 +342,7 @@ def moved(value, files, root):
     """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):
-        return root + value if value in files else value
+        return root + value if value in files or value.rpartition(":")[0] in files else value  # file.py:attribute
     if isinstance(value, dict):
         return {key: moved(each, files, root) for key, each in value.items()}
     if type(value) in (list, tuple):

@@ -61,7 +61,7 @@ BSON = {
     "compare": {"--out": ["out"]},
     "leaderboard": {"--readme": ["page.md"]},
     "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"], "--out": ["runs"],
-              "--resume": None},
+              "--resume": None, "--tensorboard": None},
     "bench": {"--pedestrians": ["2"], "--worlds": ["1"], "--sensors": ["none"], "--seconds": ["0.1"],
               "--pedestrian-model": ["orca"], "--out": ["b.json"], "--train": ["ppo"]},
     "list": {}, "demo": {"--episodes": ["0"]}, "nothing": {},
@@ -77,7 +77,7 @@ MACID = {
                "--out": ["out", "new/out"]},
     "train": {"--method": ["macid", "ipo"], "--engine": ["native"], "--level": ["1"], "--seed": ["0"], "--seeds": ["2"],
               "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"], "--out": ["runs"],
-              "--resume": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"]},
+              "--resume": None, "--tensorboard": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"]},
     "bench": {"--levels": ["1"], "--worlds": ["1"], "--seconds": ["0.1"], "--out": ["b.json"], "--preset": ["fast"]},
     "nothing": {},
 }  # fmt: skip
