@@ -58,11 +58,12 @@ def address(tmp_path_factory):
 
 AGENT = """
 import os, pathlib, signal, sys
-import numpy as np
 import own_helper
+from bson.sensors import Imu
 
 class agent:
     files = ("speed.txt",)
+    sensor = (Imu(), own_helper.Near(beams=90))
 
     def __init__(self):
         self.speed = float((pathlib.Path(__file__).parent / "speed.txt").read_text())
@@ -84,7 +85,15 @@ class agent:
             raise RuntimeError("not today")
         return [self.speed, own_helper.turn(observation)]
 """
-HELPER = "def turn(observation):\n    return 0.3 * float(observation['goal'][1] > 0)\n"
+HELPER = """
+from bson.sensors import Lidar2D
+
+class Near(Lidar2D):
+    pass
+
+def turn(observation):
+    return 0.3 * float(observation["goal"][1] > 0)
+"""
 
 
 @pytest.fixture
