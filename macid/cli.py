@@ -21,6 +21,7 @@ from macid.command import (
 )
 from macid.files import (
     HelpFormatter,
+    UsageError,
     check_file,
     new_folder,
     run_command,
@@ -124,10 +125,12 @@ def _export(args):
     if args.map and args.level is not None:
         raise UsageError("--map and --level both say where: give one of them.")
     level = 2 if args.level is None else args.level
-    layout, seed = (load_map(args.map), (args.seed,)) if args.map else (load_level(level), (args.seed, *level_seed(level)))
-    config = CrowdConfig(number=args.people or layout.pedestrians or CrowdConfig.number, period=args.period, lcf=tuple(args.lcf))
+    layout = load_map(args.map) if args.map else load_level(level)
+    seed = args.seed if args.map else (args.seed, *level_seed(level))
+    number = args.people or layout.pedestrians or CrowdConfig.number
+    config = CrowdConfig(number=number, period=args.period, lcf=tuple(args.lcf))
     start.cleaning_up()
-    export(layout, args.out, config, seed, f"macid {shlex.join(args.argv)}")
+    export(layout, config, seed, args.out, f"macid {shlex.join(args.argv)}")
     print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
     return 0
 
@@ -245,8 +248,8 @@ def parser():
         help="write one seed's crowd as MJCF, for MuJoCo, its viewer and MJX without this project",
         formatter_class=HelpFormatter,
     )
-    export.add_argument("--level", type=_level, default=None, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
-    export.add_argument("--map", type=name, default=None, help="instead of a level, a map's name (bson list) or file")
+    export.add_argument("--level", type=_level, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
+    export.add_argument("--map", type=name, help="instead of a level, a map's name (bson list) or file")
     export.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's or the map's, else 50)")
     export.number("--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it")
     export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")

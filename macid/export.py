@@ -1,7 +1,7 @@
-"""Scenes as MJCF files that MuJoCo, its viewer and MJX load without this project, and what else a folder has of an episode.
+"""Scenes as MJCF files that MuJoCo, its viewer and MJX load without this project, and what else a folder tells.
 
-`write_scene` is for any scene; `export` writes a crowd's. A file has the scene to the last bit: what MuJoCo reads from it
-is compared with what it was written from.
+`write_scene` is for any scene; `export` writes a crowd's. A file has the scene to the last bit: what MuJoCo reads from
+it is compared with what it was written from.
 """
 
 import contextlib
@@ -33,16 +33,19 @@ _KINDS = (  # of elements whose values may be a class's
     *("bodies", "joints", "geoms", "sites", "cameras", "lights", "materials", "meshes", "textures"),
     *("actuators", "tendons", "equalities", "pairs"),
 )
-_UNWRITTEN = ("site_size", "paths", "mesh_pathadr", "tex_pathadr", "hfield_pathadr", "skin_pathadr")  # and without effect
-_FILES = {"mesh": "meshdir", "hfield": "meshdir", "texture": "texturedir"}  # elements that name files, and where they are
+_UNWRITTEN = (  # without effect: sizes that a shape does not have (others are in geom_aabb), and where files are
+    *("site_size", "geom_size"),
+    *("paths", "mesh_pathadr", "tex_pathadr", "hfield_pathadr", "skin_pathadr"),
+)
+_FILES = {"mesh": "meshdir", "hfield": "meshdir", "texture": "texturedir"}  # elements that name files, and their folder
 
 
 def write_scene(spec: mujoco.MjSpec, file, start: dict, sources=None) -> mujoco.MjModel:
     """Writes the scene `spec` as the MJCF `file` and returns its model; `spec` is no longer of use then.
 
-    start: the fields of the keyframe START, as MjSpec.add_key has them. sources: the folder of the model that names meshes
-    and textures; what it names is copied to the folder ASSETS beside `file`. Raises UsageError where MuJoCo does not read
-    the same scene from the file.
+    start: the fields of the keyframe START, as MjSpec.add_key has them. sources: the folder of the model that names
+    meshes and textures; what it names is copied to the folder ASSETS beside `file`. Raises UsageError where MuJoCo does
+    not read the same scene from the file.
     """
     file = pathlib.Path(file)
     spec.add_key(name=START, **start)
@@ -64,7 +67,8 @@ def write_scene(spec: mujoco.MjSpec, file, start: dict, sources=None) -> mujoco.
     except ValueError as error:
         raise UsageError(f"MuJoCo can't write this scene as MJCF: {error}") from None
     if different := differences(model, read):
-        raise UsageError(f"MuJoCo {mujoco.__version__} reads another scene from its MJCF: {', '.join(different)} differ.")
+        fields = ", ".join(different)
+        raise UsageError(f"MuJoCo {mujoco.__version__} reads another scene from its MJCF: {fields} differ.")
     return read
 
 
@@ -73,7 +77,7 @@ def differences(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
     found = []
     for field in dir(model):
         value, its = (getattr(each, field) for each in (model, other))
-        if isinstance(value, np.ndarray) and field not in _UNWRITTEN:
+        if isinstance(value, np.ndarray) and field not in _UNWRITTEN and not field.startswith("_"):
             same = value.shape == its.shape and np.allclose(value, its, rtol=1e-12, atol=1e-12, equal_nan=True)
             found += [] if same else [field]
     return found
@@ -117,18 +121,18 @@ def _copied(spec, element, value, sources, folder):
 
 
 def stand_at(spec: mujoco.MjSpec, people, lcf) -> None:
-    """Makes the poses `people` (K, 3) [m, m, rad] those in which a viewer finds people when it opens `spec`, and colours
-    them by their `lcf` (K,). What qpos means stays as it was."""
+    """Makes the poses `people` (K, 3) [m, m, rad] those in which a viewer finds people when it opens `spec`, and
+    colours them by their `lcf` (K,). What qpos means stays as it was."""
     for index, ((x, y, yaw), colour) in enumerate(zip(people, drawing.lcf_colour(lcf), strict=True)):
         name = f"person{index}"
         spec.body(name).pos = [x, y, HEIGHT / 2]
         spec.body(name).quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         spec.geom(f"{name}/cylinder").rgba = [*colour, 1.0]
-        for axis, place, direction in (("x", x, [1.0, 0.0]), ("y", y, [0.0, 1.0]), ("yaw", yaw, None)):
+        spec.joint(f"{name}/yaw").ref = np.rad2deg(yaw) if spec.compiler.degree else yaw
+        for axis, place, direction in (("x", x, [1.0, 0.0]), ("y", y, [0.0, 1.0])):
             joint = spec.joint(f"{name}/{axis}")
             joint.ref = place
-            if direction is not None:  # of the world, in the frame of the turned body
-                joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]
+            joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]  # the world's, in the turned body's frame
 
 
 def people_notes(people, goals, lcf) -> dict:
@@ -149,7 +153,11 @@ def people_notes(people, goals, lcf) -> dict:
 
 def box_notes(boxes) -> dict:
     """What an episode's JSON says of `boxes` (B, 5)."""
-    return {"bodies": "box{b}; the first four are the outer walls", "rows": _numbers(boxes), "columns": "x, y, half x, half y, yaw"}
+    return {
+        "bodies": "box{b}; the first four are the outer walls",
+        "columns": "x, y, half x, half y, yaw",
+        "rows": _numbers(boxes),
+    }
 
 
 def _numbers(array):
@@ -159,13 +167,13 @@ def _numbers(array):
 _README = """\
 # {title}
 
-Written by `{command}`; `episode.json` tells of it all. Lengths in metres, angles in radians, times in seconds.
+Written by `{command}`; `episode.json` tells of it all. Units are metres, radians and seconds.
 
 - `scene.xml`: as the project simulates it.
-- `view.xml`: as it looks, for the viewer, from the episode's start: `python -m mujoco.viewer --mjcf=view.xml`.
+- `view.xml`: as it looks, from the episode's start, for the viewer: `python -m mujoco.viewer --mjcf=view.xml`.
 
-Each has the keyframe `start` and loads in MJX. People are cylinders of radius {radius} m and height {height} m on velocity actuators. They touch each
-other, walls and obstacles through a hidden sphere.
+Each has the keyframe `start` and loads in MJX. People are cylinders of radius {radius} m and height {height} m on
+velocity actuators. They touch each other, walls and obstacles through a hidden sphere.
 
 ```python
 import json
@@ -187,9 +195,15 @@ Until the next decision, {period} s later, `ctrl` stays as it is: `mujoco.mj_ste
 """
 
 
-def export(layout: Layout, out, config=CrowdConfig(), seed=0, command="macid.export.export()") -> pathlib.Path:
-    """Writes the crowd of `config` on `layout`, as `seed` draws its episode, to the folder `out`, which is new or empty:
-    scene.xml, view.xml, episode.json, README.md. Returns the folder.
+def export(
+    layout: Layout,
+    config: CrowdConfig,
+    seed: int | tuple[int, ...],
+    out: str | pathlib.Path,
+    command: str = "macid.export.export()",
+) -> pathlib.Path:
+    """Writes the crowd of `config` on `layout`, as `seed` draws its episode, to the folder `out`, which is new or
+    empty: scene.xml, view.xml, episode.json, README.md. Returns the folder.
 
     seed: of a numpy Generator: a number, or several. command: that made it, for people to read. Raises UsageError,
     NoFreeSpace.

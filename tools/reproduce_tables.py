@@ -82,7 +82,8 @@ def wanted(agent_steps, seeds=None):
 def find_policies(configs, *folders):
     """{model: {seed: policy file}} of folders, read from the recipes.
 
-    Who has the name of one of `configs` but was trained otherwise is told of and left out: tables are of equal samples.
+    A policy that has the name of one of `configs` but was trained otherwise is named on stderr and left out: all of a
+    row's seeds are to be trained alike.
     """
     configs, found = {config.name: config for config in configs}, {}
     for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
@@ -220,7 +221,8 @@ def note_scores(files, rows_by_seed):
 
 
 def over_seeds(rows_by_seed, columns=COLUMNS):
-    """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None of one."""
+    """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None for a single
+    seed."""
     values = np.array(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
@@ -250,7 +252,7 @@ def ranks(values):
 
 
 def told_range(values, digits=2):
-    """The mean of `values` with the least and the greatest, as text; those that are NaN don't count."""
+    """The mean of `values` with the least and the greatest, as text; values that are NaN don't count."""
     known = np.asarray(values, float)[np.isfinite(values)]
     numbers = (known.mean(), known.min(), known.max()) if len(known) else ()
     return "{} [{}, {}]".format(*(f"{number:.{digits}f}" for number in numbers)) if numbers else "-"
@@ -266,8 +268,8 @@ KNOB = {  # of knob.md: the figure of `measure_knob`, and what it is
 def knob_table(figure, by_method, levels):
     """Lines of a table: rank correlations of a figure of KNOB with the LCF, a row a policy, a column a level.
 
-    by_method: {method: [seed][level] rows of `measure_knob`}. The last columns are of the figure's mean over the levels:
-    its rank correlation, and what it is in the most adversarial section and in the most cooperative one.
+    by_method: {method: [seed][level] rows of `measure_knob`}. The last two columns tell of the figure's mean over the
+    levels: its rank correlation, and its values in the most adversarial and in the most cooperative section.
     """
     names = [*map(level_name, levels), "all maps", "first to last section"]
     lines = [text_row(KNOB[figure], names), "|---" * (1 + len(names)) + "|"]

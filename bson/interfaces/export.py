@@ -7,9 +7,12 @@ import mujoco
 import numpy as np
 
 from bson import robot
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.renderer import draw_plainly
+from bson.simulation.scene import build_spec
+from bson.simulation.world import World
 from bson.task import TaskConfig
 from bson.tracks import GlobalTrack, LocalTrack, sensor_documents
-from bson.world import MAP_RESOLUTION, World, build_spec
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion
@@ -19,7 +22,9 @@ _FRICTIONLESS = 1e-5  # the least sliding friction that MuJoCo takes
 _ROBOT = "robot"  # as bson.robot.add_robot names it
 
 
-def export(config: TaskConfig, track: LocalTrack, seed: int, out, command="bson.interfaces.export.export()") -> pathlib.Path:
+def export(
+    config: TaskConfig, track: LocalTrack, seed: int, out: str | pathlib.Path, command="bson.interfaces.export.export()"
+) -> pathlib.Path:
     """Writes the episode `seed` of `config`, with the sensors of `track`, to the folder `out`, which is new or empty:
 
     scene.xml as it moves and is sensed, with a rangefinder for each beam of the LIDARs; scene_mjx.xml for MJX on JAX;
@@ -87,9 +92,7 @@ def _mount(scene, sensors):
     """Adds to `scene`, in which `sensors` are mounted, what reads as they do: {key: what to know of it}."""
     scene.modelname = "bson"
     look = scene.visual
-    # As bson's cameras draw: a pixel is the ray through its middle, and there are no shadows.
-    look.quality.offsamples, look.quality.shadowsize, look.quality.numquads, look.quality.numstacks = 0, 0, 1, 2
-    look.rgba.rangefinder = [0, 0, 0, 0]  # MuJoCo would draw the beams into pictures
+    draw_plainly(look.quality)
     for camera in scene.cameras:
         width, height = camera.resolution
         look.global_.offwidth = max(look.global_.offwidth, int(width))
@@ -123,11 +126,15 @@ def _robot_notes(model, world):
     """What the JSON says of the robot."""
     described, config = robot.describe(world.config.robot), world.config.robot
     first = 3 * world.config.people
+    actuators = robot.wheel_actuators(model, described)
     wheels = [
-        {"joint": f"{_ROBOT}/{wheel}", "ctrl": int(ctrl), "side": "left" if wheel in described.left else "right", "sign": sign}
-        for wheel, ctrl, sign in zip(
-            described.wheels, robot.wheel_actuators(model, described), described.forwards, strict=True
-        )
+        {
+            "joint": f"{_ROBOT}/{wheel}",
+            "ctrl": int(ctrl),
+            "side": "left" if wheel in described.left else "right",
+            "sign": sign,
+        }
+        for wheel, ctrl, sign in zip(described.wheels, actuators, described.forwards, strict=True)
     ]
     return {
         "name": config.name,
@@ -147,16 +154,17 @@ def _robot_notes(model, world):
 _README = """\
 # {title}
 
-Written by `{command}`; `episode.json` tells of it all. Lengths in metres, angles in radians, times in seconds.
+Written by `{command}`; `episode.json` tells of it all. Units are metres, radians and seconds.
 
-| file | what |
-|---|---|
-| `scene.xml` | as the project simulates and senses it: no sensor sees the robot, so the robot is not drawn. For MuJoCo and MJX-Warp |
-| `scene_mjx.xml` | the same for MJX on JAX, which has no contact of cylinders with boxes: people are capsules, as long and round beyond |
-| `view.xml` | as it looks, from the episode's start: `python -m mujoco.viewer --mjcf=view.xml`. It has no beams: they would see the robot |
+- `scene.xml`: as the project simulates and senses it, for MuJoCo and MJX-Warp. No sensor sees the robot, so it is not
+  drawn.
+- `scene_mjx.xml`: the same for MJX on JAX, which has no contact of cylinders with boxes: people are capsules, as long
+  as the cylinders, and round beyond.
+- `view.xml`: as it looks, from the episode's start, for the viewer: `python -m mujoco.viewer --mjcf=view.xml`. It has
+  no beams: they would see the robot.
 
-All have the same `qpos`, `ctrl` and keyframe `start`. People are cylinders of radius {radius} m and height {height} m on velocity
-actuators; they touch each other and walls through a hidden sphere, the robot with the cylinder.
+All have the same `qpos`, `ctrl` and keyframe `start`. People are cylinders of radius {radius} m and height {height} m
+on velocity actuators. They touch each other and walls through a hidden sphere, the robot with the cylinder.
 
 ```python
 import json
@@ -168,6 +176,10 @@ model = mujoco.MjModel.from_xml_path("scene.xml")
 data = mujoco.MjData(model)
 mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
 mujoco.mj_forward(model, data)  # makes sensordata current
+
+
+unmarked = mujoco.MjvOption()  # MuJoCo would draw the beams of rangefinders into pictures
+unmarked.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = False
 
 
 def read():
@@ -210,26 +222,26 @@ _READING = {
 """,
     "picture": """\
     of = episode["readings"]["{key}"]
-    with mujoco.Renderer(model, of["height"], of["width"]) as renderer:  # needs OpenGL: without a display, MUJOCO_GL=egl
-        renderer.update_scene(data, of["camera"])
+    with mujoco.Renderer(model, of["height"], of["width"]) as renderer:  # without a display it needs MUJOCO_GL=egl
+        renderer.update_scene(data, of["camera"], unmarked)
         reading["{key}"] = renderer.render()
 """,
     "depth": """\
     of = episode["readings"]["{key}"]
     with mujoco.Renderer(model, of["height"], of["width"]) as renderer:
         renderer.enable_depth_rendering()
-        renderer.update_scene(data, of["camera"])
+        renderer.update_scene(data, of["camera"], unmarked)
         reading["{key}"] = renderer.render().clip(of["range_min"], of["range_max"])  # along the optical axis
 """,
 }
 _NOTES = {
-    "beams": "`robot/KEY/...` are the beams: for each a site, whose z axis looks along it, and a rangefinder there, which reads [m] "
-    "up to range_max, and -1 where nothing is hit. In 2D the first is the rightmost; in 3D they are rows, from the lowest, of "
-    "columns, from straight back over the robot's right. `model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR` during "
-    "mj_step, and not in mj_forward, saves their time.",
+    "beams": "`robot/KEY/...` are the beams: for each a site, whose z axis looks along it, and a rangefinder there, "
+    "which reads [m] up to range_max, and -1 where nothing is hit. In 2D the first is the rightmost; in 3D they are rows, "
+    "from the lowest, of columns, from straight back over the robot's right. Where `model.opt.disableflags` has "
+    "`mujoco.mjtDisableBit.mjDSBL_SENSOR` during mj_step, and not in mj_forward, steps are quick.",
     "imu": "`robot/imu_accelerometer` and `robot/imu_gyro`: in the robot's frame, x ahead, y left, z up.",
-    "picture": "Cameras have their resolution, field and near plane in the files. Row 0 of a picture is the highest. `scene.xml` has "
-    "no shadows and no anti-aliasing, as the project's cameras draw.",
+    "picture": "Cameras have their resolution, field and near plane in the files. Row 0 of a picture is the highest. "
+    "`scene.xml` has no shadows and no anti-aliasing, as the project's cameras draw.",
 }
 _NOTES["depth"] = _NOTES["picture"]
 
@@ -240,14 +252,14 @@ def _readme(content):
     notes = {_NOTES[kind]: None for kind in kinds.values() if kind}
     if own := [key for key, kind in kinds.items() if kind is None]:
         notes[f"Only the project itself reads {', '.join(own)}."] = None
+    notes["Readings have no noise. A sensor's `noise` in the files is what the project adds, a standard deviation."] = None
     people, size = content["people"]["number"], content["config"]["map_size"]
+    where = f"among {people} people on {size:g} x {size:g} m"
     return _README.format(
-        title=f"A robot, {content['robot']['name']}, among {people} people on {size:g} x {size:g} m, seed {content['seed']}",
+        title=f"A robot, {content['robot']['name']}, {where}, seed {content['seed']}",
         command=content["command"],
         radius=RADIUS,
         height=HEIGHT,
         reading="".join(_READING[kind].format(key=key) for key, kind in kinds.items() if kind),
-        notes="\n\n".join(
-            [*notes, "Readings have no noise. A sensor's `noise` in the files is what the project adds, as a standard deviation."]
-        ),
+        notes="\n\n".join(notes),
     )

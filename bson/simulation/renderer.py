@@ -9,6 +9,12 @@ import numpy as np
 from macid import drawing
 
 
+def draw_plainly(quality) -> None:
+    """Sets the visual quality of an MjModel or MjSpec to the cameras': no shadows, and a pixel is the ray through its
+    middle, so that its depth is that of one surface: no samples beside it."""
+    quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
+
+
 class Renderer(drawing.Offscreen):
     """Draws what the cameras of `model` see in `nworld` worlds, without shadows; a picture is as large as its camera's
     resolution.
@@ -18,9 +24,7 @@ class Renderer(drawing.Offscreen):
 
     def __init__(self, model: mujoco.MjModel, nworld: int):
         model, self._nworld = copy.copy(model), nworld
-        # A pixel is the ray through its middle, so that its depth is that of one surface: no samples beside it.
-        quality = model.vis.quality
-        quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
+        draw_plainly(model.vis.quality)
         super().__init__(model, model.cam_resolution.max(axis=0), extra=100)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
@@ -29,7 +33,7 @@ class Renderer(drawing.Offscreen):
         self._frames = {}
 
     def view(self, name: str) -> int:
-        """The view of the camera `name`: a number that cameras share that see the same."""
+        """The view of the camera `name`: a number. Cameras that see the same picture have the same number."""
         model = self.model
         same = np.ones(model.ncam, bool)
         for field in ("bodyid", "pos", "quat", "resolution", "sensorsize", "intrinsic"):

@@ -106,7 +106,7 @@ class TrainConfig:
             for name, fields in PRESETS.items()
             if (fields["ppo"], fields.get("inputs", "features")) == (self.ppo, self.inputs)
         ]
-        parts = [self.method]
+        parts = [get_method(self.method).name]
         if "fast" not in presets:
             parts += presets or ["custom"]
         if self.period != PHYSICS_STEP:
