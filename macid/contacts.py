@@ -5,7 +5,8 @@ from macid.state import CONTACT_GAP, RADIUS
 
 
 def touching(position, boxes):
-    """Whether each person of `position` (..., K, 2) [m] is within CONTACT_GAP of another or of `boxes` (..., B, 5): (..., K)."""
+    """Whether each person of `position` (..., K, 2) [m] is within CONTACT_GAP of another or of `boxes` (..., B, 5):
+    (..., K)."""
     xp = position.__array_namespace__()
     people = xp.any(touching_people(position), axis=-1)
     to_boxes = geometry.point_box_distance(position, boxes[..., None, :, :])

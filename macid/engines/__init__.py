@@ -7,8 +7,8 @@
 | `warp` | MuJoCo Warp's kernels, the extra `warp` | NVIDIA GPUs; a CPU for tests, slowly |
 
 Each is functional, `step(state, command) -> state`, can sit in a jitted `lax.scan`, and is read as the same
-`CrowdState` (`macid.engines.base.Engine`). Nothing behind this call asks which engine runs: an engine says what it can. An engine's
-options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
+`CrowdState` (`macid.engines.base.Engine`). Nothing behind this call asks which engine runs: an engine says what it can.
+An engine's options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
 
 A new engine is a file in this folder and a line in ENGINES.
 """
