@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from macid import scene
-from macid.layout import Layout
-from macid.learning import ppo
-from macid.learning import train as train_module
-from macid.learning.train import TrainConfig, Trainer, train
 from macid.contacts import touching
 from macid.crowd import Crowd, CrowdConfig
 from macid.engines import ENGINES, best_engine, engine_kind, make_engine
 from macid.engines.base import EngineOverflow
 from macid.engines.native import NativeEngine
 from macid.files import UsageError
+from macid.layout import Layout
+from macid.learning import ppo
+from macid.learning import train as train_module
+from macid.learning.train import TrainConfig, Trainer, train
 from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, parking_place
 
 STEPS = 100
