@@ -47,11 +47,13 @@ def evaluate(
     overrides: dict[str, Any] | None = None,
     untrained: bool = False,
     paired: bool = False,
+    metrics: Sequence[str] = (),
     videos: int = 2,
     resume: bool = False,
     executor: str | Executor = "local",
     ray_address: str | None = None,
     workers: int | None = None,
+    engine: str = "native",
     command: str | None = None,
     told: Callable[[Results], None] | None = None,
     quiet: bool = False,
@@ -62,23 +64,28 @@ def evaluate(
     (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
     episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
     track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
-    are changed. paired: also plays each episode without the robot. videos: how many films. resume: goes on with what
-    was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. command: what
+    are changed. paired: also plays each episode without the robot. metrics: of one's own, each `module:function` or
+    `file.py:function` (see bson.metrics). videos: how many films. resume: goes on with what was cut short in `out`.
+    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
+    episodes of a cell at once on a device, for agents that are learned policies. command: what
     `results.json` says that it was made by. told: called with the Results once these are written, before anything is
     filmed. quiet: no progress on stderr.
 
-    Results are the same bit for bit with any executor and any number of workers. Raises UsageError or another
+    Results are the same bit for bit with any executor and any number of workers; those of the engine "warp" agree with
+    them to a tolerance. Raises UsageError or another
     ValueError, of one line, before anything is written where the request can't be met.
     """
     from bson.agents import agent_label, check_settings, load_agent
     from bson.evaluate import results, sound
-    from bson.evaluation.executors import play_cells
+    from bson.evaluation.executors import check_engine, play_cells
+    from bson.metrics import own_metrics
     from bson.report import make_report
     from bson.resume import Unfinished, basis, files_digest
     from bson.suites import load_suite
     from bson.tracks import make_track, sensor_label, sensor_settings
 
     name, changes = agent_label(agent), overrides or {}
+    own = own_metrics(metrics)
     if resume and out is None:
         raise UsageError("resume goes on with what is in the folder `out`: give it.")
     chosen = load_suite(suite)
@@ -91,6 +98,9 @@ def evaluate(
     for cell in cells:
         _check_spawn(cell.config, seeds)
     follows_from = basis(name, wanted, cells, paired)
+    if engine != "native":
+        check_engine(engine, agent, wanted, executor, paired)
+        follows_from["engine"] = engine
     folder = None if out is None else _evaluation_folder(out)
     runner = make_executor(executor, ray_address, workers)
     with contextlib.ExitStack() as held:
@@ -115,12 +125,14 @@ def evaluate(
                 paired,
                 functools.partial(_bar, name, len(cells) > 1, quiet),
                 unfinished.save if unfinished else lambda cell, episode: None,
+                engine,
             )
         content = results(
             name,
             chosen.name,
             cells,
             played,
+            own,
             suite_digest=chosen.digest if not changes else None,
             task_digest=files_digest(follows_from),
             track=[wanted[0], sensor_label(wanted[1])],
@@ -129,6 +141,7 @@ def evaluate(
             overrides={key: str(value) for key, value in changes.items()},
             frozen_seeds=seed == 0,
             command=command,
+            **({} if engine == "native" else {"engine": engine}),
         )
         found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
         if folder is None:
@@ -274,6 +287,40 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
     return content
 
 
+def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str | pathlib.Path | None = None) -> str:
+    """A metric over the cells of a suite, as the report has the SNS: an HTML page.
+
+    results: as of `compare`, one. metric: a name of bson.metrics.METRICS. out: an .html file for it. Raises UsageError
+    where the suite has one cell only, or the metric is unknown.
+    """
+    from bson.heatmap import Scale, Tile, cell_maps
+    from bson.metrics import METRICS
+    from bson.page import render
+
+    found, known = _loaded(results), {one.name: one for one in METRICS}
+    cells = found.content["cells"]
+    if metric not in known:
+        raise UsageError(f"Unknown metric '{metric}'. Choose one of {', '.join(known)}.")
+    if len(cells) < 2:
+        raise UsageError(
+            f"The results of '{found.agent}' on '{found.suite}' have one cell only: there is nothing to map."
+        )
+    tiles = [
+        Tile(cell["grades"], cell["summary"].get(metric), *cell["intervals"].get(metric, (None, None)))
+        for cell in cells
+    ]
+    values = [end for tile in tiles if tile.value is not None for end in (tile.low, tile.high)]
+    share = known[metric].unit == "share" or metric in ("RC", "SP", "PE", "SPL")
+    most = 100.0 if metric == "SNS" else 1.0 if share else max([*values, 1e-9])
+    scale = Scale(min([0.0, *values]), max([most, *values]), known[metric].better or "up")
+    drawn = cell_maps(tiles, scale, metric, f"{known[metric].unit} {known[metric].better}".strip())
+    title = f"{metric} of {found.agent} on {found.suite}"
+    page = render("cells.html", title=title, what=known[metric].what, axes=len(cells[0]["grades"]), map=drawn)
+    if out is not None:
+        write_bytes(check_file(out), page.encode())
+    return page
+
+
 def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 
@@ -373,19 +420,17 @@ def train(
     """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
     - 1.
 
-    algo, preset: of bson.learning.train.ALGORITHMS and PRESETS. steps: of all worlds. worlds: at once. overrides:
+    algo: of bson.learning.train.ALGORITHMS, or one's own, `file.py:class`; preset: of PRESETS. steps: of all worlds. worlds: at once. overrides:
     fields of TaskConfig that are changed. resume: goes on from checkpoints. executor, ray_address, workers: see
     macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises UsageError, also where the extra
     `agents` is missing.
     """
     with agents_extra():
-        from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig
+        from bson.learning.train import TrainConfig, hyperparameters
 
-    for value, valid, what in ((algo, ALGORITHMS, "algorithm"), (preset, PRESETS, "preset")):
-        if value not in valid:
-            raise UsageError(f"Unknown {what} '{value}'. Choose one of {', '.join(valid)}.")
+    chosen = hyperparameters(algo, preset)
     configs = [
-        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=PRESETS[preset][algo])
+        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen)
         for one in range(seed, seed + seeds)
     ]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)

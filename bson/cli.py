@@ -107,11 +107,13 @@ def _evaluate(args):
         overrides=_overrides(args.set),
         untrained=args.untrained_setting,
         paired=args.paired,
+        metrics=args.metric,
         videos=args.videos,
         resume=args.resume,
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
+        engine=args.engine,
         command=_words(args.argv),
         told=lambda results: print(format_summary(results.content), flush=True),
     )
@@ -185,6 +187,8 @@ def _cell(suite, cell):
 
 
 def _train(args):
+    if args.engine == "warp":
+        return _train_warp(args)
     from bson import benchmark
 
     folders = benchmark.train(
@@ -193,7 +197,7 @@ def _train(args):
         seed=args.seed,
         seeds=args.seeds,
         steps=int(args.steps),
-        worlds=args.worlds,
+        worlds=args.worlds or 16,
         preset=args.preset,
         overrides=_overrides(args.set),
         resume=args.resume,
@@ -205,6 +209,30 @@ def _train(args):
     for folder in folders:
         policy = folder / "policy.npz"
         print(f"Written: {policy}, {folder / 'policy.json'}. Score it: bson evaluate --agent {policy}")
+    return 0
+
+
+def _train_warp(args):
+    if args.preset != "fast":
+        raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
+    if args.seeds != 1 or args.tensorboard or args.executor != "local":
+        raise UsageError("--engine warp trains one seed in this process: leave --seeds, --tensorboard and --executor out.")
+    from tqdm import tqdm
+
+    from bson.learning.device_ppo import DeviceTrainConfig, train
+
+    worlds = {} if args.worlds is None else {"num_envs": args.worlds}
+    config = DeviceTrainConfig(args.seed, int(args.steps), _overrides(args.set), algo=args.algo, **worlds)
+    start.cleaning_up()
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
+
+        def show(steps, figures):
+            bar.n = min(steps, config.steps)
+            bar.set_postfix_str("  ".join(f"{name} {value:.3g}" for name, value in figures.items()))
+
+        folder = train(config, args.out, args.resume, show)
+    policy = folder / "policy.npz"
+    print(f"Written: {policy}, {folder / 'policy.json'}. Score it: bson evaluate --agent {policy}")
     return 0
 
 
@@ -227,7 +255,9 @@ def _bench(args):
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
     if args.out:
         path = check_file(args.out, "file for --out")
-    if args.train is None:
+    if args.engine == "warp":
+        rows = _bench_warp(args, given)
+    elif args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
         raise UsageError("--train measures learning on the 2D LIDAR: leave --sensors out.")
@@ -240,6 +270,19 @@ def _bench(args):
     return 0
 
 
+def _bench_warp(args, given):
+    from bson import bench_warp
+
+    if "batches" in given:
+        given["worlds"] = given.pop("batches")
+    algos = given.pop("algos", None)
+    if args.train is None:
+        return bench_warp.run(**given, model=args.pedestrian_model)
+    if algos not in (None, ["ppo"]) or args.sensors is not None:
+        raise UsageError("--engine warp measures training of ppo on the 2D LIDAR: leave other algorithms and --sensors out.")
+    return bench_warp.run(**given, sensors=("lidar2d",), model=args.pedestrian_model, train=True)
+
+
 def _doctor(args):
     from bson import doctor
 
@@ -248,17 +291,17 @@ def _doctor(args):
 
 def _list(args):
     from bson import ENVIRONMENTS
-    from bson.agents import agent_names
-    from bson.robot import robot_names
+    from bson.registry import KINDS, kind
     from bson.suites import load_suite, suite_names
-    from macid.maps import map_names
-    from macid.pedestrians import model_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
-    print("agents        " + ", ".join(agent_names()) + ", or module:function, file.py[:function], policy.npz")
-    print("pedestrians   " + ", ".join(model_names()))
-    print("maps          " + ", ".join(map_names()) + ", or a .toml or .yaml file (--set map=NAME)")
-    print("robots        " + ", ".join(robot_names()) + ", or a .toml file (--set robot=NAME)")
+    for what, (_, given) in KINDS.items():
+        try:
+            found = kind(what)
+        except ModuleNotFoundError as error:
+            print(f"{what:<13} need {error.name}: pip install 'bson-macid[agents]'")
+            continue
+        print(f"{what:<13} {', '.join(found.names())}{found.forms and f', or {found.forms}'} ({given})")
     for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
         print(f"suite         {suite.name}: {suite.description} ({count} seeds)")
@@ -288,6 +331,12 @@ def _add_task(command):
 
 
 def _add_evaluation(command, out, suite):
+    command.add_argument(
+        "--engine",
+        default="native",
+        choices=("native", "warp"),
+        help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for learned policies",
+    )
     command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
     command.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
     command.number(
@@ -301,6 +350,13 @@ def _add_evaluation(command, out, suite):
         default=2,
         help="films, from the worst episode to the best; of several cells the worst episodes of this many worst cells, "
         "and the best of the best",
+    )
+    command.add_argument(
+        "--metric",
+        type=name,
+        action="append",
+        default=[],
+        help="a metric of your own, module:function or file.py:function of an Episode; may be repeated",
     )
     command.add_argument(
         "--paired",
@@ -372,7 +428,10 @@ def parser():
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
-    train.number("--worlds", int, 1, MOST_WORLDS, default=16, help="at once")
+    train.number("--worlds", int, 1, MOST_WORLDS, default=None, help="at once (default: 16; with --engine warp 1024)")
+    train.add_argument(
+        "--engine", choices=("native", "warp"), default="native", help="warp: ppo in MJX-Warp, on a GPU if there is one"
+    )
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
     train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, one after the other, or at once with --executor ray")
     train.add_argument(
@@ -392,6 +451,12 @@ def parser():
     bench.add_argument("--sensors", type=name, nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
     bench.number("--seconds", float, 0.0, 1e6, above=True, help="time a case (default: 2; training: 20)")
     bench.add_argument("--pedestrian-model", type=name, default="macid", help="(default: macid)")
+    bench.add_argument(
+        "--engine",
+        choices=("native", "warp"),
+        default="native",
+        help="native: MuJoCo on CPUs; warp: MJX-Warp, on a GPU if there is one (default worlds then: 1024 4096)",
+    )
     bench.add_argument("--out", type=name, help="JSON file")
     bench.set_defaults(run=_bench)
 

@@ -7,7 +7,7 @@ import json
 import math
 
 from bson.heatmap import Scale, Tile, cell_maps
-from bson.metrics import GROUPS, METRICS, summarise
+from bson.metrics import GROUPS, METRICS, TAKEN, metrics_of, summarise
 from bson.page import BETTER, DASH, numbers, plural, render
 from macid.documents import shown
 
@@ -132,7 +132,7 @@ def compare(runs):
         raise ValueError("Name at least two results to compare.")
     check_comparable(runs)
     keys, names, first = _shared(runs), labels(runs), runs[0].content
-    metrics = [m.name for m in METRICS if all(m.name in row for run in runs for row in run.content["episodes"])]
+    metrics = [m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])]
     cells = []
     for cell in first["cells"] if len(first["cells"]) > 1 else ():
         if within := [key for key in keys if key[0] == cell["name"]]:
@@ -144,6 +144,7 @@ def compare(runs):
                     "runs": _side_by_side(runs, within, [name for name in metrics if name in BY_CELL]),
                 }
             )
+    own = {name: told for name, told in first.get("metrics", {}).items() if name in metrics and name not in TAKEN}
     return {
         "suite": first["suite"],
         "suite_digest": first.get("suite_digest"),
@@ -161,6 +162,7 @@ def compare(runs):
             for name, run, side in zip(names, runs, _side_by_side(runs, keys, metrics), strict=True)
         ],
         "cells": cells,
+        **({"metrics": own} if own else {}),  # what the user's own are
     }
 
 
@@ -223,9 +225,9 @@ def _side(side, metric, better):
     return shown
 
 
-def _groups(runs):
+def _groups(runs, metrics):
     """{group: rows (metric, its arrow, what is shown of each run)} of every metric but the minor ones."""
-    shown = [m for m in METRICS if not m.minor and any(m.name in run["summary"] for run in runs)]
+    shown = [m for m in metrics if not m.minor and any(m.name in run["summary"] for run in runs)]
     return {
         group: [
             (metric, BETTER[metric.better], [_side(run, metric.name, metric.better) for run in runs])
@@ -301,7 +303,7 @@ def make_page(content):
         notes=content["notes"],
         overview=_overview(runs),
         least_pairs=LEAST_PAIRS,
-        groups=_groups(runs),
+        groups=_groups(runs, metrics_of(content)),
         by_cell=BY_CELL,
         cells=_cells(content),
         **strata,

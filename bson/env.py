@@ -68,7 +68,7 @@ def _episode_config(config, track, options):
     return changed
 
 
-def _frames_per_second(config):
+def frames_per_second(config):
     """Of a film of what happens in `config`, as fast as it happens."""
     fps = 1.0 / config.control_period
     return round(fps) if abs(fps - round(fps)) < 1e-6 else fps
@@ -105,7 +105,7 @@ class Rebuilt:
         return made
 
 
-class _Specified(Rebuilt):
+class Specified(Rebuilt):
     """Gymnasium's spec of an environment, with arguments that JSON can have."""
 
     _spec = None
@@ -126,7 +126,7 @@ class _Specified(Rebuilt):
         self._spec = spec
 
 
-class BsonEnv(_Specified, gymnasium.Env):
+class BsonEnv(Specified, gymnasium.Env):
     """A robot, the Jackal if `robot` names no other, drives to a goal among pedestrians (paper, sec. VI).
 
     ## Action
@@ -206,7 +206,7 @@ class BsonEnv(_Specified, gymnasium.Env):
         seed = plain_seed(seed)
         self.render_mode = render_mode
         self.config = TaskConfig().replace(**config)
-        self.metadata = {**self.metadata, "render_fps": _frames_per_second(self.config)}
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(self.config)}
         self._track = make_track(track, sensor)
         self._session = Session(self.config, self._track, seeds=[seed])
         self._first_seed = seed
@@ -232,7 +232,7 @@ class BsonEnv(_Specified, gymnasium.Env):
                 (seed,) = self._session.next_seeds([0])
             observation = self._session.reset([0], [seed])
         self._first_seed = None
-        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(config)}
         if self.render_mode is not None:
             self._close_film()
             self._recorder = Recorder(self._session, 0)
@@ -271,12 +271,13 @@ class BsonEnv(_Specified, gymnasium.Env):
         return {name: value[0] for name, value in self._session.info([0]).items()}
 
 
-class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
+class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
     """`num_envs` worlds of `BsonEnv` on one MuJoCo batch, threaded by MuJoCo itself; no subprocesses.
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". stable-baselines3 takes it as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec` gives
+    bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
     `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
@@ -302,7 +303,7 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
         self.num_envs, self.render_mode = num_envs, None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.config = TaskConfig().replace(**config)
-        fps = _frames_per_second(self.config)
+        fps = frames_per_second(self.config)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode, "render_fps": fps}
         track = make_track(track, sensor)
         self._first_seed = seed
@@ -354,7 +355,7 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
             self._session.reset(ids, seeds)
         self._first_seed = None
         self._ended[ids] = False
-        self.metadata = {**self.metadata, "render_fps": _frames_per_second(config)}
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(config)}
         return self._session.observe(self._all), self._infos(self._all)
 
     def step(self, actions):
@@ -405,6 +406,18 @@ class BsonVectorEnv(_Specified, gymnasium.vector.VectorEnv):
             "final_info": {**info, **masked},
             "_final_info": present.copy(),
         }
+
+
+def vector_env(engine="native", **arguments):
+    """The vector environment of `gymnasium.make_vec`: BsonVectorEnv, or with engine="warp"
+    bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine, UsageError without MJX-Warp."""
+    if engine == "native":
+        return BsonVectorEnv(**arguments)
+    if engine == "warp":
+        from bson.interfaces.vector import WarpVectorEnv
+
+        return WarpVectorEnv(**arguments)
+    raise ValueError(f"Unknown engine {shown(engine)}. Choose 'native' or 'warp'.")
 
 
 def first(observation):

@@ -9,7 +9,7 @@ import numpy as np
 from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
-from bson.metrics import METRICS, measure, summarise
+from bson.metrics import METRICS, measure, metrics_of, summarise
 from bson.simulation.world import World
 from macid import files
 
@@ -20,8 +20,8 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
-    progress: called after each control step of the batch with (control steps done, Episode or None) for each episode
-    that ended, and (steps, None) otherwise. An episode does not depend on which others run beside it.
+    progress(steps, episode): called after each control step of each world, with 1 and the Episode that ended with it,
+    or None. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
@@ -60,10 +60,11 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
 
 
 def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
-    """`episodes` of one configuration, with what their people would have done without the robot, for as long.
+    """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
-    which people ask for them. Episodes that failed or have their pair stay as they are. progress: as run_episodes'.
+    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called as
+    by `run_episodes`.
     """
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]
@@ -90,10 +91,10 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
     return paired
 
 
-def results(agent, suite, cells, played, **more):
+def results(agent, suite, cells, played, own=(), **more):
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
-    played: the Episodes of each of `cells`. summary: means over the episodes in which a metric is finite; counts: how
+    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a metric is finite; counts: how
     many these are; metrics: what each is; cells: a summary of each; config, people: the first cell's; faults: the
     episodes in which physics failed, with the last time [s] at which it had not: these are counted nowhere else. Raises
     ValueError where no other is left.
@@ -107,7 +108,8 @@ def results(agent, suite, cells, played, **more):
     played = [sound(episodes) for episodes in played]
     if not any(played):
         raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
-    measured = [[measure(episode) for episode in episodes] for episodes in played]
+    metrics = (*METRICS, *own)
+    measured = [[measure(episode, metrics) for episode in episodes] for episodes in played]
     summaries = [_summary(rows) for rows in measured]
     return {
         "agent": agent,
@@ -118,7 +120,7 @@ def results(agent, suite, cells, played, **more):
         **(summaries[0] if len(cells) == 1 else _summary(list(itertools.chain(*measured)))),
         "metrics": {
             metric.name: {"unit": metric.unit, "better": metric.better or "neither", "what": metric.what}
-            for metric in METRICS
+            for metric in metrics
         },
         "cells": [
             {
@@ -186,7 +188,7 @@ def format_summary(content):
         f"{content['agent']} on {content['suite']}: {count} episode{'s' if count != 1 else ''} (mean, 95% interval)"
     ]
     group = None
-    for metric in METRICS:
+    for metric in metrics_of(content):
         if metric.minor or metric.name not in content["summary"]:
             continue
         if metric.group != group:

@@ -2,7 +2,7 @@
 
 720 beams are more than an MLP needs: each SECTOR of 7.5 degrees keeps its nearest beam, since the nearest thing is what
 one runs into, as closeness, which is 0 from RANGE on. One scan does not tell who is coming, so the scans of the last
-control steps lie beside the present one.
+control steps lie beside the present one. The functions take NumPy or JAX arrays.
 """
 
 import numpy as np
@@ -17,18 +17,20 @@ _GOAL_RANGE = 20.0  # [m]
 
 def closeness(lidar):
     """Scans (..., beams) [m] as (..., SECTORS) in [0, 1], from right to left: 0 for RANGE and more, 1 at the sensor."""
+    xp = lidar.__array_namespace__()
     sectors = lidar.reshape(*lidar.shape[:-1], SECTORS, -1).min(axis=-1)
-    return np.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
+    return xp.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
 
 
 def motion(observation, top=TOP):
-    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares of
-    `top` (2,) [m/s, rad/s]."""
+    """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares
+    of `top` (2,) [m/s, rad/s]."""
     goal = observation["goal"]
-    distance = np.linalg.norm(goal, axis=-1, keepdims=True)
-    near, far = np.exp(-distance), np.minimum(distance / _GOAL_RANGE, 1.0)
-    columns = [goal / np.maximum(distance, 1e-6), near, far, observation["velocity"] / np.asarray(top, np.float32)]
-    return np.concatenate(columns, axis=-1).astype(np.float32)
+    xp = goal.__array_namespace__()
+    distance = xp.linalg.norm(goal, axis=-1, keepdims=True)
+    near, far = xp.exp(-distance), xp.minimum(distance / _GOAL_RANGE, 1.0)
+    columns = [goal / xp.maximum(distance, 1e-6), near, far, observation["velocity"] / np.asarray(top, np.float32)]
+    return xp.concatenate(columns, axis=-1).astype(np.float32)
 
 
 class Features:
@@ -39,7 +41,8 @@ class Features:
         self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
 
     def begin(self, rows, observation):
-        """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading axis."""
+        """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading
+        axis."""
         self._scans[rows] = closeness(observation["lidar"])[:, None]
         return self._vector(rows, observation)
 
@@ -50,5 +53,21 @@ class Features:
         return self._vector(rows, observation)
 
     def _vector(self, rows, observation):
-        scans = self._scans[rows][:, SCANS].reshape(-1, len(SCANS) * SECTORS)
-        return np.concatenate([motion(observation, self._top), scans], axis=-1)
+        return vector(self._scans[rows], observation, self._top)
+
+
+def remember(scans, lidar, began):
+    """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); of robots whose
+    episode `began` (N,) in that step, the reading is all there is."""
+    xp = lidar.__array_namespace__()
+    new = closeness(lidar)[:, None]
+    longer = xp.concatenate([new, scans[:, :-1]], axis=1)
+    return xp.where(began[:, None, None], xp.broadcast_to(new, longer.shape), longer)
+
+
+def vector(scans, observation, top=TOP):
+    """Features (N, FEATURES) of robots with the `scans` (N, SCANS[-1] + 1, SECTORS) and `observation`; top: see
+    `motion`."""
+    xp = scans.__array_namespace__()
+    seen = scans[:, np.array(SCANS)].reshape(-1, len(SCANS) * SECTORS)
+    return xp.concatenate([motion(observation, top), seen], axis=-1)

@@ -93,7 +93,7 @@ def leaderboard(runs):
 
 
 def fill_readme(path, text):
-    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError where they lack."""
+    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError."""
     path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:
         content = read_bytes(path, "README", _MOST_BYTES).decode()

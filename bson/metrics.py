@@ -7,19 +7,22 @@ and what it is, with its threshold.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from bson.episodes.effects import SOCIAL_SPACE
 from bson.episodes.record import Episode
+from macid.documents import shown
+from macid.files import UsageError
+from macid.registry import Kind
 from macid.state import RADIUS, STALLED
 
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
 INTIMATE_SPACE, PERSONAL_SPACE = 0.45, 1.2  # [m], surface to surface
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
-GROUPS = ("score", "safety", "comfort", "efficiency", "others")
+GROUPS = ("score", "safety", "comfort", "efficiency", "others", "own")  # the last: of a user's own
 
 
 def route_completion(episode: Episode) -> float:
@@ -111,7 +114,7 @@ class Metric:
     group: str  # of GROUPS
     unit: str  # "" for a plain number
     better: str  # "up", "down" or, where it is neither, ""
-    of: Callable  # float of an Episode; infinity where there is no such thing
+    of: Callable | None  # float of an Episode, infinity where there is no such thing; None of one that was read back
     what: str  # with its threshold
     minor: bool = False  # of interest only at a second look
 
@@ -191,9 +194,57 @@ METRICS = (
 # fmt: on
 
 
-def measure(episode: Episode) -> dict[str, float]:
-    """All metrics of one episode, as a dict of floats in the order of METRICS."""
-    return {metric.name: metric.of(episode) for metric in METRICS}
+def _own(found, name):
+    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring says
+    what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
+    if not isinstance(found, Metric):
+        if not callable(found):
+            raise UsageError(f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}.")
+        called = getattr(found, "__name__", type(found).__name__)
+        what = " ".join((found.__doc__ or "a metric of one's own").split())
+        found = Metric(called, "own", getattr(found, "unit", ""), getattr(found, "better", ""), found, what)
+    texts = [found.name, found.unit, found.better, found.what]
+    if not all(isinstance(text, str) and text.isprintable() and len(text) <= 400 for text in texts) or not found.name:
+        raise UsageError(f"Metric '{name}': name, unit, better and what must be printable text of one line.")
+    if found.better not in ("up", "down", ""):
+        raise UsageError(f"Metric '{name}': better must be 'up', 'down' or '', not {shown(found.better)}.")
+    if found.name in TAKEN:
+        raise UsageError(f"Metric '{name}': there is a {shown(found.name)} already; call it otherwise.")
+
+    def of(episode):
+        with METRIC_KIND.running(name, f"of seed {episode.seed}"):
+            value = found.of(episode)
+            return float(value)
+
+    return dataclasses.replace(found, group="own", of=of)
+
+
+TAKEN = {metric.name for metric in METRICS} | {"cell", "seed", "people"}  # keys of an episode in results.json
+METRIC_KIND: Kind[Metric] = Kind("metric", {metric.name: metric for metric in METRICS}, own="function", check=_own)
+
+
+def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
+    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is wrong."""
+    found = [METRIC_KIND.own_object(name) for name in names]
+    called = [metric.name for metric in found]
+    if twice := {name for name in called if called.count(name) > 1}:
+        raise UsageError(f"Two metrics are called {shown(min(twice))}: call one otherwise.")
+    return tuple(found)
+
+
+def metrics_of(content: dict) -> tuple[Metric, ...]:
+    """The metrics that the `content` of a results.json has, the user's own last."""
+    own = [
+        Metric(name, "own", told["unit"], {"neither": ""}.get(told["better"], told["better"]), None, told["what"])
+        for name, told in content.get("metrics", {}).items()
+        if name not in TAKEN
+    ]
+    return (*METRICS, *own)
+
+
+def measure(episode: Episode, metrics: Sequence[Metric] = METRICS) -> dict[str, float]:
+    """`metrics` of one episode, as a dict of floats in their order."""
+    return {metric.name: metric.of(episode) for metric in metrics}
 
 
 def spread_by_score(episodes: list[Episode], most: int) -> list[Episode]:

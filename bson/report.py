@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from bson.heatmap import Scale, Tile, cell_maps
-from bson.metrics import GROUPS, METRICS, spread_by_score
+from bson.metrics import GROUPS, metrics_of, spread_by_score
 from bson.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
 
 # (metric, heading, unit, decimals, what it is) of the cards and the tables of cells and episodes
@@ -124,9 +124,10 @@ def _metric_row(content, metric):
 
 def _metric_groups(content):
     """{group: rows of its metrics} of the groups after the score, the minor metrics left out."""
-    shown = [group for group in GROUPS[1:] if any(m.group == group and m.name in content["summary"] for m in METRICS)]
+    metrics = metrics_of(content)
+    shown = [group for group in GROUPS[1:] if any(m.group == group and m.name in content["summary"] for m in metrics)]
     return {
-        group: [_metric_row(content, metric) for metric in METRICS if metric.group == group and not metric.minor]
+        group: [_metric_row(content, metric) for metric in metrics if metric.group == group and not metric.minor]
         for group in shown
     }
 
@@ -249,7 +250,7 @@ def make_report(content, episodes, videos=(), no_video=""):
         faults=content.get("faults", []),
         **strata,
         groups=_metric_groups(content),
-        metrics=[_metric_row(content, metric) for metric in METRICS],
+        metrics=[_metric_row(content, metric) for metric in metrics_of(content)],
         films=[video(path, caption) for path, caption in videos],
         no_video=no_video,
         ways=_ways(episodes, rows, several),

@@ -7,13 +7,13 @@ import functools
 import math
 import pathlib
 import unicodedata
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
-from bson.metrics import METRICS
-from macid.documents import convert, parse, read_bytes, shown
+from bson.metrics import METRICS, TAKEN, metrics_of
+from macid.documents import convert, is_number, parse, read_bytes, shown
 from macid.files import UsageError, write_json
 
 MOST_BYTES = 1 << 28  # an episode has some 1.5 kB, with --paired 3 kB
@@ -53,6 +53,12 @@ _Episode = msgspec.defstruct(
 _WHAT = "Name folders of bson evaluate (--out), or their results.json."
 
 
+class _Metric(msgspec.Struct):
+    unit: _Word
+    better: Literal["up", "down", "neither"]
+    what: _Word
+
+
 class Content(msgspec.Struct):
     """What is read of results.json; what else there is was noted for people."""
 
@@ -63,6 +69,7 @@ class Content(msgspec.Struct):
     intervals: dict[_Name, tuple[float, float]]
     cells: Annotated[list[_Cell], msgspec.Meta(min_length=1, max_length=MOST_CELLS)]
     episodes: Annotated[list[_Episode], msgspec.Meta(min_length=1, max_length=MOST_EPISODES)]
+    metrics: dict[_Name, _Metric] = {}
     faults: list[_Fault] = []
     overrides: dict[_Name, _Word] = {}
     suite_digest: _Name | None = None
@@ -76,8 +83,8 @@ class Content(msgspec.Struct):
 class Results:
     """What an evaluation gave. E episodes were scored, in the order of cells and seeds.
 
-    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was not saved.
-    written: the files that the evaluation has written, the films last.
+    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was
+    not saved. written: the files that the evaluation has written, the films last.
     """
 
     content: dict[str, Any] = dataclasses.field(repr=False)
@@ -145,13 +152,18 @@ class Results:
         """{metric: (E,) float64, its value in each episode}, in the units of bson.metrics.METRICS; infinity where there
         is no such thing, as a distance to people where there are none. Without those that an older file lacks."""
         rows = self.content["episodes"]
-        names = [metric.name for metric in METRICS if all(metric.name in row for row in rows)]
+        names = [metric.name for metric in metrics_of(self.content) if all(metric.name in row for row in rows)]
         return {name: np.array([_value(row[name]) for row in rows], dtype=float) for name in names}
 
     def by_cell(self, metric: str) -> dict[str, np.ndarray]:
         """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it
         hasn't."""
         return {name: self.metrics[metric][self.cell == name] for name in self.cells}
+
+    def cell_means(self, metric: str) -> np.ndarray:
+        """(cells,) float64, the mean of `metric` in each cell over the episodes in which it is finite; NaN where it is
+        in none."""
+        return np.array([cell.get("summary", {}).get(metric, math.nan) for cell in self.content["cells"]], dtype=float)
 
 
 def _value(number):
@@ -169,7 +181,13 @@ def read_results(path):
     if missing := missing or ["cell" for row in rows if isinstance(row, dict) and "cell" not in row]:
         raise UsageError(f"'{path}' has no '{missing[0]}': it isn't of this version's bson evaluate. {_WHAT}")
     _check_form(content, f"results '{path}'")
-    _check_sense(convert(content, Content, f"results '{path}'"), f"results '{path}'")
+    found = convert(content, Content, f"results '{path}'")
+    _check_sense(found, f"results '{path}'")
+    for index, row in enumerate(rows):
+        for name in found.metrics.keys() - TAKEN & row.keys():
+            if not (row[name] is None or is_number(row[name])):
+                wanted = f"a number or null is wanted, not {shown(row[name])}"
+                raise UsageError(f"results '{path}', key 'episodes[{index}].{name}': {wanted}.")
     return content
 
 

@@ -6,7 +6,6 @@ import io
 import json
 import os
 import pathlib
-import sys
 
 import numpy as np
 
@@ -25,8 +24,9 @@ from macid.files import (
     write_bytes,
     write_json,
 )
-from macid.pedestrians import MODELS
+from macid.pedestrians import is_learned
 from macid.policy import load_policy
+from macid.registry import code_file
 
 _MOST_BASIS = 1 << 28  # bytes of basis.json, which has the settings of every cell
 _SEAL = hashlib.sha256().digest_size  # bytes at the end of an episode's file
@@ -47,10 +47,7 @@ def files_digest(basis):
 
 def _agent_files(name):
     """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
-    module, colon, _ = name.rpartition(":")
-    path = pathlib.Path(module if colon else name)
-    if colon and (file := getattr(sys.modules.get(module), "__file__", None)):  # modules of compiled code may have none
-        path = pathlib.Path(file)
+    path = code_file(name) or pathlib.Path(name)
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
 
@@ -60,14 +57,16 @@ def basis(agent, track, cells, paired):
     agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and sensor.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
-    policies = [load_policy(name) for name in sorted(models - set(MODELS))]
+    policies = [load_policy(name) for name in sorted(filter(is_learned, models))]
+    rules = [file for name in sorted(models) if not is_learned(name) and (file := code_file(name))]
     content = {
         "agent": [agent, _digest(file.read_bytes() for file in _agent_files(agent))],
         "track": [track[0], track[1] if isinstance(track[1], str) else sensor_settings(make_track(*track).sensors)],
         "paired": paired,
         "cells": [cell.content for cell in cells],
         "pedestrians": _digest(
-            weights.tobytes() for policy in policies for layer in policy.layers for weights in layer
+            [weights.tobytes() for policy in policies for layer in policy.layers for weights in layer]
+            + [file.read_bytes() for file in rules]
         ),
         "versions": versions(),
     }

@@ -42,6 +42,7 @@ from msgspec import Meta
 from macid import assets, geometry
 from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
+from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
@@ -373,18 +374,21 @@ def robot_names():
     return assets.names("robots", ".toml")
 
 
-def load_robot(name):
+def load_robot(name: str) -> "Robot":
     """The Robot of a description: a name of `robot_names()`, or a .toml file.
 
     Raises UsageError, naming the valid choices, or what is wrong in the description or its model.
     """
+    cure = _CURES.get(pathlib.Path(name).suffix.lower(), "")
+    if cure and name not in robot_names():
+        raise UsageError(f"{ROBOTS.unknown(name)}{cure}")
+    return ROBOTS.load(name)
+
+
+def _read_robot(name):
+    """The Robot of a description that comes with the project, or of a file."""
     path = pathlib.Path(name)
     if path.suffix != ".toml":
-        if name not in robot_names():
-            cure = _CURES.get(path.suffix.lower(), "")
-            raise UsageError(
-                f"Unknown robot {shown_path(name)}. Choose one of {', '.join(robot_names())}, or a .toml file.{cure}"
-            )
         path = assets.path("robots", f"{name}.toml")
     try:
         if not path.is_file():
@@ -397,6 +401,7 @@ def load_robot(name):
         raise UsageError(f"Can't read the robot {shown_path(name)}: {error.strerror}.") from None
 
 
+ROBOTS: Kind["Robot"] = Kind("robot", shipped=robot_names, read=_read_robot, files=(".toml",))
 _EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
 _CURES = {
     ".xacro": _EXPAND,
@@ -619,17 +624,22 @@ def site_pose(robot, site):
     return data.site_xpos[number].copy(), data.site_xmat[number].reshape(3, 3).copy()
 
 
+def _namespace(array):
+    """NumPy, or JAX for its arrays."""
+    return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
+
+
 def wheel_speeds(command, robot=None):
     """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
     (..., 2): (v [m/s], w [rad/s]), clipped."""
     robot = robot or load_robot("jackal")
-    config = robot.config
+    config, xp = robot.config, _namespace(command)
     limit = np.array([config.max_speed, config.max_yaw_rate])
-    speed, yaw_rate = np.moveaxis(np.clip(command, -limit, limit), -1, 0)
+    speed, yaw_rate = xp.moveaxis(xp.clip(command, -limit, limit), -1, 0)
     difference = yaw_rate * config.effective_track / 2
     left, right = speed - difference, speed + difference
     sides = [left] * len(robot.left) + [right] * len(robot.right)
-    return np.stack(sides, axis=-1) / config.rolling_radius * robot.forwards
+    return xp.stack(sides, axis=-1) / config.rolling_radius * np.array(robot.forwards)
 
 
 def wheel_actuators(model, robot=None, name="robot"):
@@ -646,10 +656,11 @@ def wheel_dofs(model, robot, name="robot"):
 
 def planar_pose(qpos):
     """Pose (..., 3), world frame [m, m, rad], of a free joint's `qpos` (..., 7)."""
-    qpos = np.asarray(qpos)
+    xp = _namespace(qpos)
+    qpos = xp.asarray(qpos)
     w, x, y, z = qpos[..., 3], qpos[..., 4], qpos[..., 5], qpos[..., 6]
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-    return np.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
+    yaw = xp.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    return xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
 
 
 def planar_velocity(qpos, qvel):
@@ -657,10 +668,11 @@ def planar_velocity(qpos, qvel):
 
     MuJoCo gives a free joint's linear velocity in the world frame and its angular velocity in the body frame.
     """
-    qvel = np.asarray(qvel)
+    xp = _namespace(qvel)
+    qvel = xp.asarray(qvel)
     yaw = planar_pose(qpos)[..., 2]
-    ahead = np.cos(yaw) * qvel[..., 0] + np.sin(yaw) * qvel[..., 1]
-    return np.stack([ahead, qvel[..., 5]], axis=-1)
+    ahead = xp.cos(yaw) * qvel[..., 0] + xp.sin(yaw) * qvel[..., 1]
+    return xp.stack([ahead, qvel[..., 5]], axis=-1)
 
 
 def spawn_qpos(x, y, yaw, config=None):
@@ -674,6 +686,7 @@ def spawn_qpos(x, y, yaw, config=None):
 def footprint(pose, config=None):
     """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
     config = config or load_robot("jackal").config
-    pose = np.asarray(pose)
-    half_x, half_y = np.full(pose.shape[:-1], config.half_length), np.full(pose.shape[:-1], config.half_width)
-    return np.stack([pose[..., 0], pose[..., 1], half_x, half_y, pose[..., 2]], axis=-1)
+    xp = _namespace(pose)
+    pose = xp.asarray(pose)
+    half_x, half_y = xp.full(pose.shape[:-1], config.half_length), xp.full(pose.shape[:-1], config.half_width)
+    return xp.stack([pose[..., 0], pose[..., 1], half_x, half_y, pose[..., 2]], axis=-1)

@@ -28,7 +28,7 @@ from macid.drawing import Unavailable
 
 _LEAST_RATE = 1e-9  # [Hz]
 _MOST_NOISE = 1e6  # standard deviations
-_LOOK = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # MuJoCo's camera: x right, y up, -z ahead
+LOOK = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # MuJoCo's camera: x right, y up, -z ahead
 
 
 def _number(least=-MOST_NUMBER, most=MOST_NUMBER, above=-math.inf):
@@ -383,7 +383,7 @@ class Camera(Mounted):
         body.add_camera(
             name=f"{robot}/{self.key}",
             pos=place,
-            quat=_quaternion(frame @ _LOOK),
+            quat=_quaternion(frame @ LOOK),
             resolution=self.size,
             sensor_size=[2 * math.tan(angle / 2) for angle in self.field],
             focal_length=[1.0, 1.0],

@@ -21,6 +21,7 @@ from macid import assets
 from macid.documents import convert, parse, read_bytes, shown, shown_path
 from macid.files import UsageError
 from macid.maps import load_map
+from macid.registry import Kind
 
 _SEED_STRIDE = 1_000_000  # between the episodes of --seed S and of --seed S + 1
 _MOST_CELLS = 1000
@@ -139,11 +140,9 @@ def suite_names():
     return assets.names("suites", ".toml")
 
 
-def load_suite(name):
-    """The suite `name`. Raises UsageError for an unknown name."""
-    if name not in suite_names():
-        raise UsageError(f"Unknown suite {shown(name)}. Choose one of {', '.join(suite_names())}.")
-    return read_suite(assets.path("suites", f"{name}.toml"))
+def load_suite(name: str) -> Suite:
+    """The suite `name`: of `suite_names()`, or a .toml file. Raises UsageError, naming the valid choices."""
+    return SUITES.load(name)
 
 
 def read_suite(file):
@@ -172,3 +171,11 @@ def read_suite(file):
     except ValueError as error:
         raise UsageError(f"{called}, key {shown(key)}: {error}") from None
     return Suite(checked.name, checked.description, tuple(cells), tuple(checked.seeds))
+
+
+def _read(name):
+    """The suite that comes with the project, or of a file."""
+    return read_suite(name if name.endswith(".toml") else assets.path("suites", f"{name}.toml"))
+
+
+SUITES: Kind[Suite] = Kind("suite", shipped=suite_names, read=_read, files=(".toml",))

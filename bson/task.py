@@ -356,6 +356,8 @@ def _people_ends(config, layout, rng, robot, router):
 
 
 def ways_checker(config, router):
-    """The `joins` of people's goals (macid.layout.sample_goals): their `router`'s, or None where everything is joined
-    anyhow, on an open map and in a maze."""
+    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s own.
+
+    None where people can walk anywhere: on an open map, and in a maze, all of which is joined.
+    """
     return router.joins if config.map and router is not None else None

@@ -1,7 +1,7 @@
 """What the robot is given: a track is an object with its spaces and its observation."""
 
 import dataclasses
-import importlib
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -10,6 +10,9 @@ from bson import sensors as shipped
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.simulation.data import MAP_RESOLUTION
 from macid import geometry
+from macid.documents import shown
+from macid.files import UsageError
+from macid.registry import Kind
 
 
 def velocity_limit(robot):
@@ -95,12 +98,38 @@ RESERVED = ("goal", "velocity", "map", "map_origin", "map_resolution", "pose", "
 KEYS = {*RESERVED, *(sensor.key for sensors in SENSORS.values() for sensor in sensors)}  # that some track gives
 
 
-def make_track(track, sensor):
-    """The track `track` ("local" or "global") with `sensor`: a name of SENSORS, or sensors of one's own, e.g.
-    `(Imu(), Lidar2D(beams=360, rate=10.0))`, or what `sensor_documents` makes of them. Raises ValueError, naming the valid ones."""
-    if track not in TRACKS:
-        raise ValueError(f"Unknown track {track!r}. Choose {' or '.join(map(repr, sorted(TRACKS)))}.")
-    return TRACKS[track](_sensors(sensor))
+def _own_track(found, name):
+    """Somebody's own track: a class made of sensors, as LocalTrack is."""
+    if not (isinstance(found, type) and issubclass(found, LocalTrack)):
+        raise UsageError(f"Track '{name}' must be a class derived from bson.tracks.LocalTrack, not {shown(found)}.")
+    return found
+
+
+def _own_sensors(found, name):
+    """Somebody's own sensors: one, a class of one, or a tuple of these."""
+    chosen = [each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])]
+    if not chosen or not all(isinstance(each, Sensor) for each in chosen):
+        raise UsageError(f"Sensor '{name}' must be a bson.sensors.Sensor, its class, or a tuple of these, not {shown(found)}.")
+    return tuple(chosen)
+
+
+def _own_kind(found, name):
+    if not (isinstance(found, type) and issubclass(found, Sensor)):
+        raise UsageError(f"There is no sensor {name!r}: a dict's kind is a class of bson.sensors, or 'module:class'.")
+    return found
+
+
+TRACK_KIND: Kind[type[LocalTrack]] = Kind("track", TRACKS, own="class", check=_own_track)
+SENSOR_KIND: Kind[tuple[Sensor, ...]] = Kind("sensor", SENSORS, own="attribute", check=_own_sensors)
+_SHIPPED = {name: kind for name, kind in vars(shipped).items() if isinstance(kind, type) and issubclass(kind, Sensor)}
+_CLASS_KIND: Kind[type[Sensor]] = Kind("sensor", _SHIPPED, own="class", check=_own_kind)  # of a document
+
+
+def make_track(track: str, sensor: Any) -> LocalTrack:
+    """The track `track` ("local", "global", or one's own class) with `sensor`: a name of SENSORS, sensors of one's own,
+    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes of
+    them. Raises UsageError, naming the valid ones."""
+    return TRACK_KIND.load(track)(_sensors(sensor))
 
 
 def sensor_label(sensor):
@@ -133,14 +162,7 @@ def _document(sensor):
 def _of_document(document):
     """The sensor of a dict of `sensor_documents`. Raises ValueError, naming what is wrong."""
     fields = dict(document)
-    name = fields.pop("kind", None)
-    module, _, attribute = name.partition(":") if isinstance(name, str) else ("", "", "")
-    try:
-        kind = getattr(importlib.import_module(module), attribute, None) if attribute else getattr(shipped, module, None)
-    except ImportError as error:
-        raise ValueError(f"There is no sensor {name!r}: {error}.") from None
-    if not (isinstance(kind, type) and issubclass(kind, Sensor)):
-        raise ValueError(f"There is no sensor {name!r}: a dict's kind is a class of bson.sensors, or 'module:class'.")
+    kind = _CLASS_KIND.load(fields.pop("kind", None))
     known = [field.name for field in dataclasses.fields(kind)]
     if unknown := sorted(map(str, set(fields) - set(known))):
         raise ValueError(f"{kind.__name__} has no field {unknown[0]!r}. Choose among {', '.join(known)}.")
@@ -148,14 +170,14 @@ def _of_document(document):
 
 
 def _sensors(chosen):
-    if isinstance(chosen, str) and chosen in SENSORS:
-        return SENSORS[chosen]
-    sensors = (chosen,) if isinstance(chosen, (Sensor, dict)) else chosen
+    sensors = SENSOR_KIND.load(chosen) if isinstance(chosen, str) else chosen
+    sensors = (sensors,) if isinstance(sensors, (Sensor, dict)) else sensors
     if isinstance(sensors, (tuple, list)):
         sensors = [_of_document(one) if isinstance(one, dict) else one for one in sensors]
     if not isinstance(sensors, (tuple, list)) or not all(isinstance(one, Sensor) for one in sensors):
-        names = ", ".join(map(repr, sorted(SENSORS)))
-        raise ValueError(f"Unknown sensor {chosen!r}. Choose {names}, or a tuple of bson.sensors' configurations.")
+        raise UsageError(
+            f"Unknown sensor {shown(chosen)}. {SENSOR_KIND.help[:-1]}, or a tuple of bson.sensors' configurations."
+        )
     keys = [one.key for one in sensors]
     if taken := {key for key in keys if keys.count(key) > 1 or key in RESERVED}:
         raise ValueError(f"Sensors' keys must differ, also from {', '.join(RESERVED)}: {', '.join(sorted(taken))}.")

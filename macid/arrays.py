@@ -1,5 +1,7 @@
-"""Arrays, and JSON beside them, in one zip file, as numpy.savez lays it out. There is no pickle in it, so that reading one
-runs no code; and nothing is made room for before what the file declares is known to be within bounds.
+"""Arrays, and JSON beside them, in one zip file, as numpy.savez lays it out.
+
+There is no pickle in such a file, so that reading it runs no code. Memory is taken only once it is known that all sizes
+which the file declares are within bounds.
 """
 
 import io
@@ -24,7 +26,7 @@ class DamagedError(ValueError):
 
 
 def pack(arrays, documents=None):
-    """The content (bytes) of a file of `arrays`, {name: array}, and `documents`, {name: what JSON has}."""
+    """The content (bytes) of a file that holds `arrays`, {name: array}, and `documents`, {name: a value of JSON}."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, document in (documents or {}).items():
@@ -39,7 +41,8 @@ def pack(arrays, documents=None):
 def unpack(file, most):
     """What `pack` or numpy.savez wrote to `file` (a path, or an open binary file): ({name: array}, {name: document}).
 
-    most: bytes that all may have together, unpacked. Raises DamagedError, and OSError where the file can't be read.
+    most: the bytes that all arrays and documents may have together, unpacked. Raises DamagedError, and OSError where
+    the file can't be read.
     """
     arrays, documents = {}, {}
     try:

@@ -1,10 +1,11 @@
 """The `macid` command."""
 
+import argparse
 import pathlib
 import shlex
 import sys
 
-from macid import start
+from macid import engines, start
 from macid.command import (
     MOST_PEOPLE,
     MOST_SEED,
@@ -29,6 +30,40 @@ from macid.files import (
 )
 
 
+_ENGINE = "native (CPU), mjx, or warp (GPU), with options or without: warp:contacts=4 (default: the best there is, which is told)"
+_PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
+_ROLLOUT = {"kind": int, "least": 1, "most": 1_000_000}
+
+
+def _engine(text):
+    """The name of an engine, for argparse."""
+    try:
+        return engines.engine_name(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _chosen(args):
+    """(the engine to use, what to tell of it on stderr); --engine, else the best there is."""
+    if args.engine:
+        engines.engine_kind(args.engine)
+        return args.engine, None
+    engine, why = engines.best_engine()
+    return engine, f"engine {engine}: {why}"
+
+
+def _after(note, show):
+    """`show`, before whose first line `note` is told on stderr: what is refused before work begins is one line."""
+    notes = [note] if note else []
+
+    def tell(line):
+        while notes:
+            _say(notes.pop())
+        show(line)
+
+    return tell
+
+
 def _level(text):
     return int(text) if text.isdecimal() else text
 
@@ -41,6 +76,7 @@ def _evaluate(args):
     from macid import benchmark
     from macid.evaluate import format_table
 
+    engine, note = _chosen(args)
     rows = benchmark.evaluate(
         args.pedestrian,
         args.levels,
@@ -49,9 +85,9 @@ def _evaluate(args):
         period=args.period,
         lcf=args.lcf,
         bins=args.bins,
-        engine=args.engine,
+        engine=engine,
         out=args.out,
-        show=_say,
+        show=_after(note, _say),
     )
     print(format_table(rows))
     print(f"Written to {pathlib.Path(args.out)}")
@@ -102,9 +138,15 @@ def _export(args):
 def _train(args):
     from macid import benchmark
 
+    engine, note = _chosen(args)
     given = {
         "nworld": args.worlds,
+        "rollout": args.rollout,
+        "episode": args.episode,
         "agent_steps": None if args.agent_steps is None else int(args.agent_steps),
+        "batch": args.batch,
+        "epochs": args.epochs,
+        "learning_rate": args.learning_rate,
     }
     folders = benchmark.train(
         args.method,
@@ -117,9 +159,9 @@ def _train(args):
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
-        show=lambda line: print(line, flush=True),
+        show=_after(note, lambda line: print(line, flush=True)),
         level=args.level,
-        engine=args.engine,
+        engine=engine,
         period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
@@ -136,8 +178,17 @@ def _bench(args):
         load_level(level)
     if args.out:
         check_file(args.out, "JSON file")
+    engine, note = _chosen(args)
     rows = bench.run(
-        args.engine, args.levels, args.worlds, args.seconds, args.preset, lambda line: print(line, flush=True)
+        engine,
+        args.levels,
+        args.worlds,
+        args.seconds,
+        args.preset,
+        _after(note, lambda line: print(line, flush=True)),
+        rollout=args.rollout,
+        only=args.only,
+        profile=args.profile,
     )
     if args.out:
         with new_folder(pathlib.Path(args.out).parent):
@@ -170,7 +221,7 @@ def parser():
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
-    evaluate.add_argument("--engine", default="native", choices=["native", "mjx"])
+    evaluate.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     evaluate.add_argument("--out", type=name, default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
 
@@ -208,16 +259,21 @@ def parser():
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
     train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
-    train.add_argument("--engine", default="native", choices=["native", "mjx"], help="native: CPU; mjx: an accelerator")
+    train.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
     train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, at once")
-    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset paper: 1)")
+    train.number("--worlds", int, 1, MOST_WORLDS, help="crowds at once (default: 16; preset gpu: 1024; paper: 1)")
+    train.number("--rollout", **_ROLLOUT, help="decisions between updates (default: 125; gpu: 25; paper: 1000)")
+    train.number("--episode", int, 1, 1_000_000, help="rollouts that an episode lasts (default: 8; gpu: 40; paper: 1)")
+    train.number("--batch", int, 1, 1_000_000_000, help="agent-steps of a gradient step (default: the preset's)")
+    train.number("--epochs", int, 1, 1000, help="passes of an update over its agent-steps (default: the preset's)")
+    train.number("--learning-rate", float, 0.0, 1.0, above=True, help="at the beginning (default: 0.001)")
     train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     train.number(
-        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset paper: the paper's 50e6)"
+        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset gpu: 300e6; paper: the paper's 50e6)"
     )
-    train.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"], help="hyperparameters")
+    train.add_argument("--preset", default="fast", choices=_PRESETS, help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)
@@ -225,11 +281,14 @@ def parser():
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure agent-steps/s", formatter_class=HelpFormatter)
-    bench.add_argument("--engine", default="native", choices=["native", "mjx"])
+    bench.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     bench.add_argument("--levels", type=_level, nargs="+", default=[1, 2, 3, 4])
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", default=[1, 4, 16, 64])
     bench.number("--seconds", float, 0.0, 1e6, above=True, default=3.0, help="a case")
-    bench.add_argument("--preset", default="fast", choices=["fast", "paper", "paper-batch", "paper-ppo"])
+    bench.number("--rollout", **_ROLLOUT, default=50, help="decisions between updates")
+    bench.add_argument("--only", default=None, choices=["rollout", "training"], help="one of the two alone")
+    bench.add_argument("--profile", action="store_true", help="also what the parts of an iteration take")
+    bench.add_argument("--preset", default="fast", choices=_PRESETS)
     bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
     return root

@@ -21,6 +21,7 @@ import sys
 import tempfile
 import threading
 import traceback
+import warnings
 from typing import Any
 
 from macid import assets, start
@@ -38,6 +39,7 @@ _RAY = {
 }
 _ANSWER = 3.0  # within which a cluster's address has to answer [s]
 _LOSSES = 3  # of a job's workers, one after the other, of which none sent anything
+_MOST_FOLDER = 30  # characters of a folder for Ray's sockets, whose paths may have 107
 _STORE = 1 << 28  # bytes of the object store of a cluster of this machine alone
 _SAME = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")  # whose versions results depend on
 _PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\4\0\0\0\0\0"  # how HTTP/2, and so gRPC, begins (RFC 9113, 3.4)
@@ -70,7 +72,8 @@ class Cluster:
             alone = {}
             if self.address == "local":
                 os.environ.setdefault("RAY_AUTH_TOKEN", _token())  # Ray would note one in the home folder
-                self._folder = tempfile.mkdtemp(prefix="macid-ray-")
+                short = len(tempfile.gettempdir()) <= _MOST_FOLDER
+                self._folder = tempfile.mkdtemp(prefix="macid-ray-", dir=None if short else "/tmp")
                 alone = {
                     "num_cpus": self._wanted or os.cpu_count(),
                     "include_dashboard": False,
@@ -78,7 +81,8 @@ class Cluster:
                     "_temp_dir": self._folder,
                 }
             try:
-                with start.quiet_children():
+                with start.quiet_children(), warnings.catch_warnings():
+                    warnings.filterwarnings("ignore", r"os\.fork\(\) was called")  # of JAX: Ray forks to begin programs
                     ray.init(address=self.address, **alone, **quiet)
             except (ConnectionError, RuntimeError, ValueError, OSError) as error:
                 self.__exit__()
@@ -114,6 +118,8 @@ class Cluster:
         if told := carried.told():
             print(told, file=sys.stderr, flush=True)
         task, environment = _task(ray), _environment()
+        if self._folder:
+            environment["TMPDIR"] = self._folder
         waiting, running, lost = collections.deque(range(len(jobs))), {}, collections.Counter()
         try:
             while waiting or running:
@@ -238,8 +244,10 @@ def _task(ray):
         import os
         import pickle
         import socket
+        import tempfile
 
         os.environ.update(environment)
+        tempfile.tempdir = None  # as the environment has it now
         try:
             from macid.cluster import serve
         except ImportError as error:
@@ -334,7 +342,7 @@ def moved(value, files, root):
     """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):
-        return root + value if value in files else value
+        return root + value if value in files or value.rpartition(":")[0] in files else value  # file.py:attribute
     if isinstance(value, dict):
         return {key: moved(each, files, root) for key, each in value.items()}
     if type(value) in (list, tuple):

@@ -28,8 +28,8 @@ class Parser(argparse.ArgumentParser):
         self._bounds = {}
 
     def number(self, flag, kind, least, most, above=False, also="", **more):
-        """Adds the flag `flag`, a number of `kind` int or float, or several, from `least` to `most`; `above`: and not
-        `least`. also: what messages say of it beside its bounds."""
+        """Adds the flag `flag`: a number of `kind`, int or float, or several, from `least` to `most`. above: whether
+        `least` itself is excluded. also: what messages add to the bounds."""
         action = self.add_argument(flag, type=kind, **more)
         self._bounds[action.dest] = flag, least, most, above, also
         return action
@@ -69,7 +69,7 @@ PERIOD = {"least": 0.0, "most": MOST_PERIOD, "above": True, "also": " and a mult
 
 
 def check_words(words):
-    """Refuses words of a command line that no name, path or value is. Raises UsageError."""
+    """Refuses words of a command line that can't be a name, a path or a value. Raises UsageError."""
     for word in words:
         try:
             word.encode()

@@ -14,13 +14,14 @@ _POCKET = 1.0  # area in which nobody needs to walk [m2]
 
 
 def runs(solid):
-    """How many runs of cells along a row the grid `solid` (rows, columns) bool has: what `exact` takes time and memory for."""
+    """The number of runs of solid cells along rows in the grid `solid` (rows, columns) bool; `exact` takes time and
+    memory for each."""
     return np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0])
 
 
 def exact(solid):
-    """Rectangles (N, 4) that cover the cells `solid` (rows, columns) bool and no other, none twice: runs of cells along a
-    row are joined with equal runs in the rows above."""
+    """Rectangles (N, 4) that cover the cells `solid` (rows, columns) bool and no other, none twice: runs of cells along
+    a row are joined with equal runs in the rows above."""
     rows, columns = solid.shape
     edges = np.diff(np.pad(solid.astype(np.int8), ((0, 1), (1, 1))), axis=1)
     starts, ends = np.argwhere(edges == 1), np.argwhere(edges == -1)
@@ -37,11 +38,11 @@ def exact(solid):
 
 
 def merged(solid, resolution, most):
-    """At most `most` rectangles (N, 4) that cover all of the cells `solid` (rows, columns) bool, of side `resolution` [m],
-    and some free ones beside.
+    """At most `most` rectangles (N, 4) that cover all of the cells `solid` (rows, columns) bool, of side `resolution`
+    [m], and some free ones beside.
 
-    First those that no person of RADIUS can reach, then, as far as needed, those near solid ones; and of these, those
-    first that leave the ways of people as connected as they are, where that is possible.
+    Free cells are covered in this order, as far as needed: cells that no person of RADIUS can reach, then cells near
+    solid ones. Where it is possible, the covered cells leave people's ways as connected as they are.
     """
     grain = 1
     coarse = solid
@@ -68,8 +69,8 @@ def merged(solid, resolution, most):
 
 
 def leaves_room(solid, found, resolution):
-    """Whether the rectangles `found` (N, 4) leave people a way on the grid `solid` (rows, columns) bool of cells of side
-    `resolution` [m], or there was none."""
+    """Whether people have a way on the grid `solid` (rows, columns) bool of cells of side `resolution` [m] that the
+    rectangles `found` (N, 4) cover in part; True also where people had no way before."""
     covered = solid.copy()
     _fill(covered, found)
     return bool(_ways(_distance(covered), resolution).any() or not _ways(_distance(solid), resolution).any())
@@ -93,8 +94,8 @@ def _scaled(found, grain, shape):
 
 
 def _distance(solid):
-    """From each cell's centre to that of the nearest `solid` one (rows, columns), in cells, beyond the edge of the grid all
-    being solid."""
+    """Distance from each cell's centre to the centre of the nearest `solid` cell: (rows, columns), in cells. Everything
+    beyond the edge of the grid is solid."""
     import cv2
 
     return cv2.distanceTransform(np.pad(~solid, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
@@ -125,8 +126,8 @@ def _ways(distance, side):
 
 
 def _allowed(solid, distance, side, far, ways, spared):
-    """Which cells may be covered: the solid ones, the free ones that no person on their `ways` covers, and those less than
-    `far` [m] from solid ones; with `spared`, only where the way is so wide that one remains."""
+    """Which cells may be covered: solid cells, free cells that no person on the `ways` covers, and cells less than
+    `far` [m] from solid ones; with `spared`, the last only where the way is so wide that a way remains."""
     allowed = solid | ~_near(ways, RADIUS / side + 0.5)
     if far == 0:
         return allowed
@@ -151,7 +152,7 @@ def _still_joined(solid, found, side, ways):
 
 
 def _cover(solid, allowed):
-    """Rectangles (N, 4) within `allowed` that cover `solid`: the fewer of those by rows and those by columns."""
+    """Rectangles (N, 4) within `allowed` that cover `solid`: built by rows or by columns, whichever needs fewer."""
     if not solid.any():
         return np.empty((0, 4), int)
     by_rows = _sweep(solid, allowed)
@@ -160,7 +161,8 @@ def _cover(solid, allowed):
 
 
 def _sweep(solid, allowed):
-    """`_cover`, row by row: a rectangle goes on while what it must cover lies within what it may in all of its rows."""
+    """`_cover`, row by row. A rectangle grows as long as the cells that it must cover lie within the columns that it
+    may cover in all of its rows."""
     rows, columns = solid.shape
     width = columns + 1
     flat = np.zeros((rows, width), np.int8)

@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from macid import geometry, physics, scene
+from macid import geometry, scene
+from macid.engines import make_engine
+from macid.engines.base import repeat
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, parking_place, physics_steps
@@ -20,7 +22,7 @@ class CrowdConfig:
     number: int = 50
     period: float = PHYSICS_STEP  # between decisions; a multiple of the physics step
     duration: float = 20.0  # of an episode: the paper's T = 1000 steps
-    lcf: tuple[float, float] = (-2.0, 2.0)  # range from which each person's LCF is drawn
+    lcf: tuple[float, float] = (-2.0, 2.0)  # the range from which each person's LCF is drawn
     goal_distance: tuple[float, float] = GOAL_DISTANCE
     person: scene.PersonConfig = scene.PersonConfig()
 
@@ -58,17 +60,17 @@ class Episode(NamedTuple):
     travelled: Any  #: way walked so far [m]
     time: Any  #: walked so far [s]
     sped: Any  #: sum of the changes of speed between decisions, without their sign [m/s]
-    turned: Any  #: the same of the yaw rate [rad/s]
+    turned: Any  #: sum of the changes of the yaw rate between decisions, without their sign [rad/s]
     stalled: Any  #: time below STALLED [s]
 
 
 class Outcome(NamedTuple):
     """What one decision brought; leading axes (nworld, K)."""
 
-    state: Any  #: CrowdState after it, with who arrived still in place
+    state: Any  #: CrowdState after it; people who arrived are still in place
     arrived: Any  #: bool: in this decision, and so left the map
-    individual: Any  #: reward of eq. 5; 0 for who had left before
-    neighborhood: Any  #: eq. 1 over those on the map when it began; 0 for who had left before
+    individual: Any  #: reward of eq. 5; 0 for a person who had left before
+    neighborhood: Any  #: eq. 1 over people on the map when it began; 0 for a person who had left before
 
 
 def _position(state, episode):
@@ -76,7 +78,7 @@ def _position(state, episode):
 
 
 def snapshot(state, episode):
-    """For `Crowd.rollout`: what a macid.watch.Recording has of an instant, position, yaw, walking and collisions."""
+    """For `Crowd.rollout`: what a macid.watch.Recording keeps of an instant: position, yaw, walking and collisions."""
     return state.position, state.yaw, episode.walking, episode.collisions
 
 
@@ -86,7 +88,7 @@ class Crowd:
     def __init__(self, layout: Layout, config=CrowdConfig(), nworld=1, engine="native"):
         self.layout, self.config, self.nworld = layout, config, nworld
         self.model = scene.crowd_spec(layout, config.number, config.person).compile()
-        self.engine = physics.make_physics(engine, self.model, config.number, layout.boxes, nworld)
+        self.engine = make_engine(engine, self.model, config.number, layout.boxes, nworld)
         self._init = jax.jit(self.engine.init)
 
     @property
@@ -125,7 +127,8 @@ class Crowd:
         return self.transition(episode, command)[0]
 
     def transition(self, episode: Episode, command, weights=RewardWeights()) -> tuple[Episode, Outcome]:
-        """`step`, and what it brought, with rewards by `weights` (a collision: any contact during the decision)."""
+        """`step` and its Outcome, whose rewards follow from `weights` (a collision: any contact during the
+        decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
         state, collisions, travelled = episode.physics, episode.collisions, episode.travelled
         first = after = self.engine.read(state)
@@ -138,7 +141,7 @@ class Crowd:
             travelled = travelled + jnp.where(episode.walking, geometry.norm(after.position - before.position), 0.0)
             return state, after, collisions, travelled
 
-        carried = physics.repeat(substep, (state, after, collisions, travelled), self.config.substeps)
+        carried = repeat(substep, (state, after, collisions, travelled), self.config.substeps)
         state, after, collisions, travelled = carried
         speed, walking = geometry.norm(after.velocity), jnp.asarray(episode.walking, jnp.float32)
         arrived = episode.walking & (geometry.norm(episode.goals - after.position) <= GOAL_RADIUS)

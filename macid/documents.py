@@ -1,6 +1,6 @@
 """Documents that a user names (TOML, JSON, YAML): read within a bound, parsed, and checked against a schema in one place.
 
-Whatever is wrong with one is a UsageError of one line that names the file, the key and what is allowed there.
+Whatever is wrong with a document is a UsageError of one line that names the file, the key and what is allowed there.
 """
 
 import collections
@@ -22,14 +22,14 @@ from macid.files import UsageError
 MOST_BYTES = 1 << 20  # of a map, a robot, a suite [bytes]
 MOST_NUMBER = 1e18  # in any field, beside whole numbers, which may fill 64 bits
 _SHOWN = 60  # characters of a value in a message
-_SHOWN_PATH = 120  # and of a file's name
+_SHOWN_PATH = 120  # characters of a file's name in a message
 _MOST_DEEP = 100  # brackets in brackets of YAML
-_MOST_PARTS = 64  # of a dotted key: tomllib's time grows with their square
+_MOST_PARTS = 64  # parts of a dotted key: tomllib's time grows with their square
 
 
 def number(description, **bounds):
-    """The type of a number within `bounds` (of msgspec.Meta), which messages describe so. A whole one stays whole, as it
-    stands in digests."""
+    """The type of a number within `bounds` (as msgspec.Meta has them), for which messages say `description`. A whole
+    number stays whole, as digests have it."""
     rounded = {key: math.ceil(bound) if key in ("ge", "lt") else math.floor(bound) for key, bound in bounds.items()}
     whole, real = (msgspec.Meta(description=description, **each) for each in (rounded, bounds))
     return typing.Annotated[int, whole] | typing.Annotated[float, real]
@@ -54,8 +54,8 @@ def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
 
 
 def read_bytes(path, what, most=MOST_BYTES):
-    """The content of the file `path`, a `what` ("map") that a user named. Raises UsageError: no regular file, unreadable, or
-    of more than `most` bytes."""
+    """The content of the file `path`, which a user named as a `what` ("map"). Raises UsageError where it is no regular
+    file, can't be read, or has more than `most` bytes."""
     path = check_readable(path, what, most)
     try:
         with path.open("rb") as file:
@@ -65,7 +65,8 @@ def read_bytes(path, what, most=MOST_BYTES):
 
 
 def check_readable(path, what, most=MOST_BYTES):
-    """The pathlib.Path of the file `path`, of a `what` that a user named. Raises UsageError as read_bytes does, and reads nothing."""
+    """The pathlib.Path of the file `path`, which a user named as a `what`. Raises UsageError as read_bytes does, but
+    does not read the file."""
     path = pathlib.Path(path)
     try:
         if not path.exists():
@@ -153,8 +154,8 @@ _PARSERS = {
 
 
 def parse(path, what, content, ending=None):
-    """The document in `content` (bytes), as the ending of `path`, or `ending`, has it: dicts, lists, numbers, text. Raises
-    UsageError."""
+    """The document in `content` (bytes), parsed as the ending of `path`, or `ending`, says: dicts, lists, numbers,
+    text. Raises UsageError."""
     ending = pathlib.Path(path).suffix if ending is None else ending
     if ending not in _PARSERS:
         raise UsageError(f"{what} {shown_path(path)} must end in {', '.join(_PARSERS)}.")
@@ -171,8 +172,9 @@ def parse(path, what, content, ending=None):
 
 
 def check_values(document, tell, described=lambda key: ""):
-    """Refuses what no field has: numbers that are not finite or beyond MOST_NUMBER, text that no encoding has, keys that are
-    no text. tell(key, problem): raises the error. described(key): what a number has to be there, or ""."""
+    """Refuses values that are valid in no field: numbers that are not finite or beyond MOST_NUMBER, text that no
+    encoding has, keys that are no text. tell(key, problem): raises the error. described(key): what a number has to be
+    there, or ""."""
 
     def refuse_number(key, wanted, found):
         said = described(key)

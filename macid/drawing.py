@@ -22,14 +22,14 @@ import numpy as np
 from macid.files import UsageError, named, new_file, write_bytes
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
 
-LCF_RANGE = (-2.0, 2.0)  # of the colour scale
+LCF_RANGE = (-2.0, 2.0)  # the ends of the colour scale
 LCF_STOPS = np.array(  # RGB at equal steps of the LCF: ColorBrewer's RdYlBu, safe for the colour-blind
     [[0.78, 0.07, 0.09], [0.98, 0.62, 0.34], [0.98, 0.95, 0.68], [0.52, 0.76, 0.90], [0.10, 0.38, 0.72]]
 )
 
 GOAL_RGB = (0.05, 0.62, 0.32)
 INK, MUTED, PAPER, PANEL = (38, 43, 51), (112, 119, 130), (255, 255, 255), (244, 245, 247)
-NEAR, FAR = 0.05, 300.0  # of what is drawn [m]
+NEAR, FAR = 0.05, 300.0  # only what is between these distances is drawn [m]
 FIGURE_PARTS = 4  # shapes in a person's figure
 
 
@@ -157,7 +157,7 @@ def _close_all():
 
 
 def lcf_colour(lcf):
-    """RGB (..., 3) in [0, 1] of `lcf` (...): red if adversarial (-2), pale yellow at 0, blue if cooperative (2)."""
+    """The colour of each `lcf` (...), RGB (..., 3) in [0, 1]: red if adversarial (-2), pale yellow at 0, blue at 2."""
     stops = np.linspace(*LCF_RANGE, len(LCF_STOPS))
     return np.stack([np.interp(lcf, stops, channel) for channel in LCF_STOPS.T], axis=-1)
 
@@ -175,7 +175,7 @@ def pace(speed):
 class Offscreen:
     """A model, the coordinates of its bodies, and what draws them offscreen. Close it, or let it go.
 
-    model: as it is to look; it is kept, so give a copy. size: of the largest picture, width and height [pixels].
+    model: as it is to look; it is kept, so give a copy. size: width and height of the largest picture [pixels].
     extra: how many shapes can be added to the scene. Raises Unavailable without OpenGL.
     """
 
@@ -223,9 +223,9 @@ class Offscreen:
 class Stage(Offscreen):
     """A page with views of one model. Close it, or use it in a `with`; raises Unavailable without OpenGL.
 
-    model: as it looks, its people invisible behind the figures that are added; it is copied. size: of the page, width
-    and height; views: rectangles x, y, width, height on it; both in pixels at scale 1. samples: of anti-aliasing,
-    0 or 4; on a CPU, 4 takes twice the time.
+    model: as it looks, its people invisible behind the figures that are added; it is copied. size: width and height of
+    the page; views: rectangles x, y, width, height on it; both in pixels at scale 1. samples: 0 or 4, for
+    anti-aliasing; on a CPU, 4 takes twice the time.
     """
 
     def __init__(self, model, size, views, scale=1.0, samples=0):
@@ -305,7 +305,8 @@ class Stage(Offscreen):
         self.add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*GOAL_RGB, 0.22], glow=0.5, shadow=False)
 
     def look(self, place, forward, up, half_height, near=NEAR, far=FAR, orthographic=False):
-        """Aims the camera. half_height: of the picture [m], at the distance `near` unless orthographic."""
+        """Aims the camera. half_height: half the picture's height [m], measured at the distance `near` unless
+        orthographic."""
         for camera in self.scene.camera:
             camera.pos, camera.forward, camera.up = place, forward, up
             camera.frustum_center, camera.frustum_width = 0.0, 0.0
@@ -337,7 +338,8 @@ class Stage(Offscreen):
         page[top : top + height, left : left + width] = pixels[::-1]
 
     def on_map(self, view, centre, span, place):
-        """Where `view`, a map of `look_down`, shows `place` (..., 2) [m]: (..., 2) pixels x, y of the page, continuous."""
+        """Where `view`, a map of `look_down`, shows `place` (..., 2) [m]: (..., 2) pixels x, y of the page,
+        continuous."""
         left, top, width, height = self.rect(view)
         offset = (np.asarray(place) - centre) / span
         return np.stack([left + width * (0.5 + offset[..., 0]), top + height * (0.5 - offset[..., 1])], axis=-1)
@@ -373,7 +375,7 @@ class Stage(Offscreen):
     def draw_lcf_scale(self, page, left, right, top, framed=None):
         """Draws the colours of LCFs as a bar between the pixels `left` and `right`, its title above, its ticks below.
 
-        framed: a range of LCFs (least, most) to put a frame around.
+        framed: the range of LCFs (least, most) that gets a frame.
         """
         unit = self.scale
         x0, x1, y0, y1 = round(left), round(right), round(top), round(top + 14 * unit)
@@ -407,7 +409,8 @@ class Stage(Offscreen):
             x += measure(text, 0.4 * unit)[0] + 18 * unit
 
     def draw_metres(self, canvas, metre, length=5):
-        """Draws the scale of a map, `length` [m] long, into the lower left corner of its picture; metre: in pixels."""
+        """Draws the scale of a map, `length` [m] long, into the lower left corner of its picture; metre: a metre in
+        pixels."""
         unit, height = self.scale, canvas.shape[0]
         x0, y0, x1 = 14 * unit, height - 14 * unit, 14 * unit + length * metre
         corners = [[x0, y0 - 5 * unit], [x0, y0], [x1, y0], [x1, y0 - 5 * unit]]
@@ -506,7 +509,7 @@ def write_webm(path, pictures, number, fps, progress=None):
                 for done, picture in enumerate(pictures, start=1):
                     frame = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
                     if written is None:
-                        with _silent_stderr():  # of FFmpeg's remark that WebM has no such tag: it needs none
+                        with _silent_stderr():  # FFmpeg remarks that WebM has no such tag: it needs none
                             writer.open(file, cv2.VideoWriter_fourcc(*"VP80"), float(fps), frame.shape[1::-1])
                         if not writer.isOpened():
                             raise OSError("OpenCV can't write VP8 video there")

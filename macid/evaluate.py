@@ -1,23 +1,24 @@
-"""Tables I and II: pedestrian models, and the LCFs of one, compared on the paper's four levels."""
+"""Tables I and II: pedestrian models, and the LCFs of one model, compared on the paper's four levels."""
 
 import dataclasses
 
 import numpy as np
 
-from macid import metrics, physics
+from macid import metrics
 from macid.crowd import Crowd, CrowdConfig, Episode
+from macid.engines.base import DIVERGED
 from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
 from macid.pedestrians import make_controller
 from macid.state import PHYSICS_STEP
 
-LCF_BINS = 6  # of Table I
+LCF_BINS = 6  # Table I's sections
 TOLERATED = 20  # Fig. 2: SR_n for n = 1 to this
 _COOPERATIVE = (0.67, 1.33)  # the LCFs of Table II
 
 
 def _recipe(pedestrian):
-    """How a learned model was made; empty for a rule."""
+    """How a learned model was made and how it scores, a dict; empty for a rule."""
     return getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
 
 
@@ -54,7 +55,7 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
     the time below 0.1 m/s; and their standard deviation over episodes.
 
     config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch. `faults`: the episodes
-    in which physics failed, and how; these are scored nowhere. Raises ValueError where no other is left.
+    in which physics failed, and how; these are scored nowhere. Raises ValueError where no sound episode is left.
     """
     layout, config, (end,), faults = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
     return {
@@ -71,8 +72,9 @@ def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), 
 
 
 def _play(pedestrian, level, groups, seed, config, engine):
-    """The level's layout, the config with its number of people, the ended Episode of each of `groups`, of the worlds in
-    which physics did not fail, and its faults in the others: [{"episode", "what"}, ...], counted through all groups.
+    """Plays a level. Returns its layout, the config with its number of people, and, for each of `groups`, the ended
+    Episode, which has only the worlds in which physics did not fail; and the faults in all other worlds, [{"episode",
+    "what"}, ...], where episodes are counted through all groups.
 
     groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as many
     episodes have the same starts and goals. All are worlds of one batch. Raises ValueError where a group has no sound world.
@@ -100,10 +102,10 @@ def _play(pedestrian, level, groups, seed, config, engine):
 
 
 def _faults(crowd, end):
-    """What of the physics failed in each world of a crowd whose Episode ended: "" where nothing did."""
+    """For each world of a crowd whose Episode ended, what failed in its physics: "" where nothing did."""
     mean_speed = np.asarray(end.travelled).max(axis=-1) / crowd.config.duration
     return [
-        what or ("" if speed <= physics.DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
+        what or ("" if speed <= DIVERGED else f"somebody moved at {speed:.0f} m/s on average")
         for what, speed in zip(crowd.engine.faults(end.physics), mean_speed, strict=True)
     ]
 
@@ -132,11 +134,12 @@ def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdCo
 
     - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in which
       everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
-    - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: the mean collision steps of
-      those whose own LCF is of each section; `own_people`, how many these are; `own_CP_rank`.
+    - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: for each section, the mean
+      collision steps of people whose own LCF is of it; `own_people`, how many people these are; `own_CP_rank`.
 
-    `faults` are as `evaluate_level`'s. A rank correlation is None where it has no meaning (all equal). config's `number` and `lcf` are overridden. Starts
-    and goals are the same in every section. Raises ValueError for a model without LCFs.
+    `faults` are as in `evaluate_level`. A rank correlation is None where it has no meaning (all equal). config's
+    `number` and `lcf` are overridden. Starts and goals are the same in every section. Raises ValueError for a model
+    without LCFs.
     """
     sections = lcf_bins(pedestrian)
     edges = [sections[0][0], *(high for _, high in sections)]
@@ -165,7 +168,7 @@ def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdCo
 
 
 def _rank_correlation(values):
-    """`metrics.rank_correlation`, None instead of NaN; a value of None has none."""
+    """`metrics.rank_correlation`, with None instead of NaN; values of which one is None have no rank correlation."""
     correlation = metrics.rank_correlation([np.nan if value is None else value for value in values])
     return correlation if np.isfinite(correlation) else None
 
@@ -176,7 +179,8 @@ def level_name(level):
 
 
 def level_seed(level):
-    """What follows the seed in that of a level's episodes, so that no two levels share their draws: whole numbers."""
+    """The whole numbers that stand behind the seed in the random generator of a level's episodes. No two levels have
+    the same, so that no two levels share their draws."""
     if level in LEVELS:
         return (level,)
     return (OTHER_LEVELS.index(level), 0x7A2) if level in OTHER_LEVELS else (VALIDATION_LEVELS.index(level), 0x7A1)

@@ -1,5 +1,8 @@
-"""Results on disk: checked before the work begins, written to a temporary name and renamed, so that nobody reads half a
-file, in a folder that no other run has meanwhile; and command-line errors."""
+"""Results on disk, and command-line errors.
+
+Where results are to go is checked before the work begins. They are written to a temporary name and renamed, so that
+nobody reads half a file. A run has its folder for itself.
+"""
 
 import argparse
 import contextlib
@@ -25,11 +28,11 @@ _ENDINGS = (".json", ".html", ".npz", ".npy", ".pkl", ".csv", ".webm", ".png", "
 
 
 class UsageError(ValueError):
-    """A request that can't be met as it was made; the message says what is valid."""
+    """A request can't be met as it was made; the message says what is valid."""
 
 
 class WriteError(UsageError, OSError):
-    """A file or a folder that can't be written, as the disk is full or the folder gone; the message names it."""
+    """A file or a folder can't be written: the disk is full, or the folder is gone. The message names it."""
 
 
 def named(path):
@@ -51,7 +54,7 @@ def _mode(path):
 
 
 def _check_names(names, folder):
-    """Raises OSError where one of `names` is longer than the file system of `folder` has them, or is no name."""
+    """Raises OSError where one of `names` is longer than the file system of `folder` allows, or is no name."""
     most = os.pathconf(folder, "PC_NAME_MAX")
     for name in names:
         if len(os.fsencode(name)) > most:
@@ -95,7 +98,7 @@ def output_folder(path):
 def _target(path):
     """The file that writing `path` makes or replaces, links followed, and its permissions, None where it is new.
 
-    Raises OSError where that is no regular file or is protected.
+    Raises OSError where this file is not regular or is protected.
     """
     target = pathlib.Path(os.path.realpath(path))
     if (mode := _mode(path)) is None:
@@ -146,7 +149,7 @@ def _lock(handle):
 
 
 def _stem(name):
-    """What the temporary files of the file `name` are called by: ASCII."""
+    """The beginning, in ASCII, of the names of temporary files for the file `name`."""
     return name.encode("ascii", "ignore").decode()[-_STEM:]
 
 
@@ -165,9 +168,9 @@ def _temporary(target, ending):
 
 
 def remove_leftovers(folder, name=None):
-    """Removes the temporary files that killed runs left in `folder`, where it is there; of the file `name` only, if given.
+    """Removes the temporary files that killed runs left in `folder`, if it exists; with `name`, only this file's.
 
-    A run that still goes on has its own locked: they stay.
+    A run that still goes on has locked its temporary files: they stay.
     """
     try:
         entries = os.listdir(folder)
@@ -189,10 +192,11 @@ def remove_leftovers(folder, name=None):
 
 @contextlib.contextmanager
 def new_file(path, ending=""):
-    """A file to be filled in a `with`, by its handle or its path, that then becomes `path`, or goes where that fails.
+    """A file to be filled in a `with`, by its handle or its path. It then becomes `path`, or is removed where that
+    fails.
 
-    ending: of its name meanwhile. A file that is replaced keeps its permissions, a link stays and its file is replaced.
-    Raises WriteError, which names `path`.
+    ending: the ending of its temporary name. A file that is replaced keeps its permissions, a link stays and its file
+    is replaced. Raises WriteError, which names `path`.
     """
     path = pathlib.Path(path)
     try:
@@ -221,19 +225,20 @@ def new_file(path, ending=""):
 
 
 def write_bytes(path, content):
-    """`content` to the file `path`, all or nothing. Raises WriteError."""
+    """Writes `content` to the file `path`, all or nothing. Raises WriteError."""
     with new_file(path) as (handle, _), open(handle, "wb", closefd=False) as f:
         f.write(content)
 
 
 def write_json(path, content):
-    """`content` as JSON to the file `path`, all or nothing. Raises WriteError."""
+    """Writes `content` as JSON to the file `path`, all or nothing. Raises WriteError."""
     write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 @contextlib.contextmanager
 def new_folder(path):
-    """`path` as a writable folder, made if missing; where what is done in the `with` fails and leaves it empty, it goes again.
+    """`path` as a writable folder, made if missing. Where the work in the `with` fails and leaves it empty, it is
+    removed.
 
     Raises UsageError.
     """
@@ -253,9 +258,10 @@ def new_folder(path):
 def lock_folder(path, files=(), alone=()):
     """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
 
-    files: names of what will be written there, which are checked. What killed runs left half-written is removed. Where the
-    work fails and leaves nothing, or only new files of the names `alone`, such as a configuration, these and the folder go
-    again. A process that was killed locks nothing. Raises UsageError where another run has the folder or it can't be written.
+    files: the names of the files that will be written there, which are checked. Half-written files of killed runs are
+    removed. Where the work fails and leaves nothing, or only new files of the names `alone`, such as a configuration,
+    these and the folder are removed. A process that was killed locks nothing. Raises UsageError where another run has
+    the folder or it can't be written.
     """
     for name in files:
         check_file(pathlib.Path(path) / name)
@@ -323,7 +329,7 @@ def _remove_unlocked(folder):
 
 
 def versions(*packages):
-    """What results were made with: {name: version} of those `packages` that are installed, Python, and the system."""
+    """What results were made with: {name: version} of the `packages` that are installed, of Python, and the system."""
     found = {}
     for name in packages:
         try:
@@ -349,8 +355,8 @@ def one_line(text, most=4000):
 
 
 def start_mujoco(draws=True):
-    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL then. Raises UsageError. A command that does
-    not draw goes on without OpenGL where the choice can't be had, or without MuJoCo where that isn't there."""
+    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL at that moment. Raises UsageError. A command that
+    does not draw goes on without OpenGL where this backend can't be had, or without MuJoCo where it isn't installed."""
     try:
         with start.quiet_children():  # of GLFW
             import mujoco  # noqa: F401
@@ -376,8 +382,8 @@ def start_mujoco(draws=True):
 
 
 class _Stream:
-    """A standard stream that never stops the work: once it can't be written, as on a full disk or in a pipe that nobody reads,
-    what comes is dropped. What its encoding lacks is escaped.
+    """A standard stream that never stops the work. Once it can't be written (a full disk, a pipe that nobody reads),
+    all that follows is dropped. Characters that its encoding lacks are escaped.
 
     problem: the first OSError.
     """
@@ -417,8 +423,8 @@ class _Stream:
 def run_command(program, main):
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
-    What can't be printed stops nothing that is to be written; in the end that is code 2, or 1 and no word where nobody reads
-    any more, as after `head`. With BSON_TRACEBACK set in the environment, errors are raised as they are.
+    Results are written even where nothing can be printed; the exit code is then 2, or 1 without a word where nobody
+    reads any more, as after `head`. With BSON_TRACEBACK set in the environment, errors are raised as they are.
     """
     output, errors, ended = _Stream(sys.stdout), _Stream(sys.stderr), None
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
@@ -439,7 +445,7 @@ def run_command(program, main):
 
 
 def _answer(program, main):
-    """`main()`'s exit code, or that of its error, which is told."""
+    """`main()`'s exit code; where it raises an error, this is told, and the code is the error's."""
     try:
         return main()
     except KeyboardInterrupt:
@@ -459,7 +465,7 @@ def _answer(program, main):
 
 
 def _told(error):
-    """What an error says, in a message."""
+    """An error in words for a user."""
     if isinstance(error, MemoryError):
         return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
     if isinstance(error, OSError) and error.strerror:

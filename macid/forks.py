@@ -5,7 +5,7 @@ import sys
 
 
 def _jax_began():
-    """Whether JAX has begun its threads in this process or, before a fork, in that which it comes from."""
+    """Whether JAX has begun its threads in this process or, before a fork, in the process that this one comes from."""
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
 
@@ -31,8 +31,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def refuse(made=None):
-    """Raises RuntimeError in a process that was forked after JAX began its threads, or since the process `made` (its id)
-    made what is to be used: it would wait for ever for threads that are not there."""
+    """Raises RuntimeError in a process that can't go on: it would wait for ever for threads that are not there.
+
+    Such a process was forked after JAX began its threads, or after the process with the id `made` made the object that
+    is to be used.
+    """
     if _forked_from_jax or made not in (None, os.getpid()):
         raise RuntimeError(
             "This process was forked after its parent had used JAX or made this environment, and neither survives that. "

@@ -41,7 +41,8 @@ def to_frame(vector, ahead):
 
 
 def rotate(vector, angle):
-    """`vector` (..., 2) turned by `angle` (...) [rad], counter-clockwise. Body frame to world frame for a body's yaw."""
+    """`vector` (..., 2) turned by `angle` (...) [rad], counter-clockwise. Body frame to world frame for a body's
+    yaw."""
     return from_frame(vector, heading(angle))
 
 
@@ -64,7 +65,8 @@ def norm(vector):
 
 
 def pairs_within(position, distance):
-    """Which of the points `position` (..., K, 2) are at most `distance` apart: (..., K, K) bool, none of itself."""
+    """Which of the points `position` (..., K, 2) are at most `distance` apart: (..., K, K) bool, False for a point and
+    itself."""
     xp = _namespace(position)
     offset = position[..., :, None, :] - position[..., None, :, :]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
@@ -92,7 +94,8 @@ def box_corners(boxes):
 
 
 def box_box_gap(box, boxes):
-    """Distance [m] between the rectangle `box` (..., 5) and each of `boxes` (..., B, 5): (..., B); 0 where they overlap.
+    """Distance [m] between the rectangle `box` (..., 5) and each of `boxes` (..., B, 5): (..., B); 0 where they
+    overlap.
 
     Two convex polygons that don't overlap are closest at a corner of one of them; they overlap where no side of either
     separates them (separating axis theorem).
@@ -101,7 +104,7 @@ def box_box_gap(box, boxes):
     one = box[..., None, :]  # (..., 1, 5)
     corners, other_corners = box_corners(one), box_corners(boxes)
 
-    def outside(points, frame):  # by how much each corner lies outside the rectangle's sides, along its two axes
+    def outside(points, frame):  # points in the rectangle's own frame, and half its sides: outside is beyond these
         return to_body(points - frame[..., None, :2], frame[..., None, 4]), frame[..., None, 2:4]
 
     local_one, half_other = outside(corners, boxes)

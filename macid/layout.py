@@ -26,10 +26,10 @@ GOAL_DISTANCE = (8.0, 24.0)  # between a pedestrian's start and goal [m]
 REGIONS = ("robot_start", "robot_goal", "people_start", "people_goal")
 _BOX_ROW = ", ".join(geometry.BOX_COLUMNS)
 _TRIES = 300
-_LEAST_HALF = 1e-4  # of a box that MuJoCo can touch [m]
+_LEAST_HALF = 1e-4  # least half side of a box that MuJoCo can touch [m]
 
 LEVELS = (1, 2, 3, 4)
-VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people on other maps: settings are chosen on these
+VALIDATION_LEVELS = ("v1", "v2", "v3", "v4")  # as many people as LEVELS, on other maps: settings are chosen on these
 OTHER_LEVELS = ("big-boxes", "small-boxes", "foyer", "crossroads", "furnished", "crowded")  # maps of other kinds
 
 
@@ -39,8 +39,8 @@ class Layout:
 
     size: side [m]. obstacles: (B, 5) rows of `geometry.BOX_COLUMNS`, without the outer walls. routed: whether people
     need waypoints to find their way (mazes). pedestrians: how many people a level has, or None. regions: where robots
-    and people begin and go, {name of REGIONS: boxes (N, 5)}; anywhere where a name is missing. routes: waypoints
-    (W, 2) [m] that pedestrians walk to and fro along, of each route; person p takes route p modulo their number.
+    and people begin and go, {name of REGIONS: boxes (N, 5)}; anywhere where a name is missing. routes: of each route
+    the waypoints (W, 2) [m] that pedestrians walk to and fro along; person p takes route p modulo the number of routes.
     """
 
     size: float
@@ -205,8 +205,8 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def load_layout(file):
-    """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1 of
-    walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
+    """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1
+    of walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
     `name`, `routed` (default: whether there are walls), `pedestrians`. Raises UsageError, naming what is wrong."""
     fields = read_document(file, _File, "map")
     try:
@@ -271,13 +271,13 @@ def _draw(rng, number, half, region):
 
 
 def most_clearance(layout, region=None):
-    """The most that the centre of somebody on `layout` can be away from obstacles [m], in the boxes `region` (N, 5) if
-    given, to about a centimetre; 0 where there is no place."""
+    """The greatest distance from obstacles [m] that a person's centre can have on `layout`, in the boxes `region` (N,
+    5) if given, to about a centimetre; 0 where there is no place."""
     region = np.array([[0.0, 0.0, layout.size / 2, layout.size / 2, 0.0]]) if region is None else region
     return _most_clearance(layout.size, layout.obstacles.tobytes(), region.tobytes())
 
 
-@functools.lru_cache(16)  # whoever looks for room asks again and again
+@functools.lru_cache(16)  # it is asked again and again
 def _most_clearance(size, obstacles, region):
     boxes = np.concatenate([outer_walls(size), np.frombuffer(obstacles).reshape(-1, 5)])
     region = np.frombuffer(region).reshape(-1, 5)[:100]
@@ -301,7 +301,7 @@ def _most_clearance(size, obstacles, region):
 
 
 def _no_room(layout, region, name):
-    """Of whom no place was found in `region`, called `name` in messages: on which map they are."""
+    """Words for a message: where no place was found, on the layout or in its `region`, which messages call `name`."""
     where = f"region {name} of " if region is not None and name else ""
     return f"{where}map '{layout.name}' ({layout.size:g} x {layout.size:g} m, {len(layout.obstacles)} obstacles)"
 
@@ -312,9 +312,9 @@ def sample_people(
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
-    which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). fits: tells of
-    places (M, 2) whether each will do, (M,) bool. who, region_name: how messages call them. Returns (number, 2) [m].
-    Raises NoFreeSpace.
+    which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). fits: a function
+    that tells which of the places (M, 2) will do, (M,) bool. who, region_name: how messages call people and region.
+    Returns (number, 2) [m]. Raises NoFreeSpace.
     """
     boxes, half = layout.boxes, layout.size / 2 - RADIUS
     taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
@@ -353,9 +353,9 @@ def sample_goals(
 ):
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
-    region: boxes (M, 5) in which goals lie (default: anywhere). joins: tells of starts and goals (M, 2) whether there is
-    a way between each two, (M,) bool. who, region_name: how messages call them. Raises NoFreeSpace when the map has no
-    such place.
+    region: boxes (M, 5) in which goals lie (default: anywhere). joins: a function of starts and goals (M, 2) that tells
+    whether there is a way from each start to its goal, (M,) bool. who, region_name: how messages call people and
+    region. Raises NoFreeSpace when the map has no such place.
     """
     starts = np.asarray(starts, dtype=float)
     boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap

@@ -13,8 +13,9 @@ from macid import assets, cover, geometry, occupancy
 from macid.documents import number, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.layout import Layout, load_layout
+from macid.registry import Kind
 
-MAX_BOXES = 1500  # of an image
+MAX_BOXES = 1500  # that stand for an image
 _SUFFIXES = (".toml", ".yaml", ".yml")
 _MOST_RUNS = 2_000_000  # of solid cells along a row, of an image that may need no merging
 _YAML_BYTES = 1 << 16
@@ -38,17 +39,18 @@ def map_names():
     return sorted(assets.names("maps", ".toml") + assets.names("maps", ".yaml"))
 
 
-def load_map(name):
+def load_map(name: str) -> Layout:
     """The Layout of a map: a name of `map_names()`, a layout's .toml file, or a map_server's .yaml or .yml file.
 
     Raises UsageError, naming the valid choices or what is wrong in the file.
     """
+    return MAPS.load(name)
+
+
+def _load(name):
+    """The Layout of a map that comes with the project, or of a file."""
     path = pathlib.Path(name)
     if path.suffix not in _SUFFIXES:
-        if name not in map_names():
-            raise UsageError(
-                f"Unknown map {shown_path(name)}. Choose one of {', '.join(map_names())}, or a .toml, .yaml or .yml file."
-            )
         suffix = ".toml" if name in assets.names("maps", ".toml") else ".yaml"
         path = assets.path("maps", f"{name}{suffix}")
     try:
@@ -58,6 +60,9 @@ def load_map(name):
         return _read(path, _changed(path))
     except (OSError, UnicodeError) as error:
         raise UsageError(f"Can't read the map {shown_path(name)}: {getattr(error, 'strerror', error)}.") from None
+
+
+MAPS: Kind[Layout] = Kind("map", shipped=map_names, read=_load, files=_SUFFIXES)
 
 
 def map_files(name):
@@ -70,7 +75,7 @@ def map_files(name):
 
 
 def _changed(path):
-    """What changes with the content of the map `path` and of its image."""
+    """A value that changes when the content of the map `path` or of its image does."""
     found = [path.stat()]
     if path.suffix != ".toml":
         image = _image(path, _fields(path, found[0].st_mtime_ns, found[0].st_size))
@@ -100,8 +105,8 @@ def load_occupancy(file):
     negate, occupied_thresh, free_thresh, mode.
 
     Cells that are not free are solid; what is unknown counts as solid (macid.occupancy). The frame's origin is the
-    image's centre, about which the image is turned by the yaw of map_server's `origin`; what a square around it has more
-    is solid. Raises UsageError, naming what is wrong.
+    image's centre, about which the image is turned by the yaw of map_server's `origin`; the map is a square around it,
+    and solid outside the image. Raises UsageError, naming what is wrong.
     """
     file = pathlib.Path(file)
     fields = read_document(file, _Occupancy, "map", _YAML_BYTES)
@@ -130,7 +135,7 @@ def load_occupancy(file):
 
 def _boxes(solid, resolution, yaw):
     """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their centre,
-    and boxes (B, 5) that cover them and what the square has more."""
+    and boxes (B, 5) that cover them and the square outside them."""
     if yaw == 0:
         return resolution * max(solid.shape), rectangles(solid, resolution)
     height, width = np.array(solid.shape) * resolution
@@ -165,11 +170,11 @@ def _clipped(corners, axis, sign, edge):
 
 
 def rectangles(solid, resolution):
-    """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and what a square around them has more.
+    """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and the square around them outside them.
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
     more than MAX_BOXES, they are merged (macid.cover.merged), so that some free cells are covered, too. Raises
-    ValueError where that leaves people no room to go, and there was some.
+    ValueError where the merged boxes leave people no way, and there was one.
     """
     rows, columns = solid.shape
     side = max(rows, columns)

@@ -1,4 +1,5 @@
-"""How well a crowd walks (paper, sec. IV-A): success rate, collision penalty, path efficiency. Pure functions on arrays."""
+"""How well a crowd walks (paper, sec. IV-A): success rate, collision penalty, path efficiency. Pure functions on
+arrays."""
 
 import numpy as np
 from scipy.stats import rankdata
@@ -18,9 +19,10 @@ def collision_penalty(collisions):
 
 
 def path_efficiency(arrived, distance, travelled):
-    """PE [%]: start-to-goal distance over the distance walked, at most 1, over those who arrived; NaN if nobody did.
+    """PE [%]: start-to-goal distance over the distance walked, at most 1, the mean over people who arrived; NaN if
+    nobody arrived.
 
-    (Who has not arrived has no finished path. The last 0.5 m are not walked, hence the bound.)
+    (A person who has not arrived has no finished path. The last 0.5 m are not walked, hence the bound.)
     """
     arrived = np.asarray(arrived)
     if not arrived.any():
@@ -43,7 +45,8 @@ def rank_correlation(values):
 def mean_by_section(sorted_by, values, edges):
     """The mean of `values` in each section of `sorted_by`, both any shape, and the number in each: (N,) and (N,).
 
-    Section i is from edges[i] up to edges[i + 1]; the last one has its upper edge too. The mean of none is NaN.
+    Section i is from edges[i] up to edges[i + 1]; the last one has its upper edge too. The mean of an empty section is
+    NaN.
     """
     edges = np.asarray(edges)
     place = np.digitize(np.ravel(sorted_by), edges[1:-1])

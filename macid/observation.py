@@ -25,7 +25,8 @@ _RAYS = [(math.cos(angle), math.sin(angle)) for angle in (2 * math.pi * ray / RA
 
 
 def cast_rays(state, boxes):
-    """Distances (..., K, RAYS) [m] to the nearest person or box, and the relative velocity (..., K, RAYS, 2), body frame.
+    """Distances (..., K, RAYS) [m] to the nearest person or box, and the relative velocity (..., K, RAYS, 2), body
+    frame.
 
     state: CrowdState (..., K). boxes: (..., B, 5).
     """
@@ -43,7 +44,8 @@ def cast_rays(state, boxes):
 
 
 def observe(state, boxes, goals):
-    """Observations (..., K, SIZE) of CrowdState `state` (..., K) among `boxes` (..., B, 5) with `goals` (..., K, 2) [m]."""
+    """Observations (..., K, SIZE) of CrowdState `state` (..., K) among `boxes` (..., B, 5) with `goals` (..., K, 2)
+    [m]."""
     xp = state.position.__array_namespace__()
     distance, relative = cast_rays(state, boxes)
     rays = xp.concatenate([distance[..., None], relative], axis=-1)

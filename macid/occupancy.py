@@ -1,4 +1,4 @@
-"""Occupancy images, as ROS's map_server reads them: which of their cells are solid, what is unknown among them."""
+"""Occupancy images, as ROS's map_server reads them: which of their cells are solid. Unknown cells are."""
 
 import io
 import re
@@ -9,8 +9,8 @@ import numpy as np
 from macid.documents import read_bytes, shown_path
 from macid.files import UsageError
 
-MOST_CELLS = 1 << 26  # of an image: 8,192 x 8,192
-MOST_BYTES = 1 << 28  # of its file
+MOST_CELLS = 1 << 26  # in an image: 8,192 x 8,192
+MOST_BYTES = 1 << 28  # in its file
 UNKNOWN = 205  # the grey, of 255, as which map_saver writes what is unknown; ROS 1 frees below an occupancy of 0.196
 MODES = ("trinary", "scale", "raw")
 _FORMATS = ("PNG", "BMP", "JPEG", "GIF", "TIFF", "WEBP")  # beside the portable ones, P1 to P6
@@ -21,12 +21,12 @@ _BITS = {"1": 1, "4": 1, "2": 1, "5": 1, "3": 3, "6": 3}  # channels of P1 to P6
 def solid_cells(path, mode, negate, free_thresh):
     """Which cells of the image `path` are not known to be free: (rows, columns) bool, the image's lowest row first.
 
-    As map_server has it, a cell's brightness is the mean of red, green and blue, from 0 to 1, and its occupancy 1 less
-    that, or the brightness itself with `negate`; a cell is free where the occupancy is below `free_thresh`, and in the
-    modes "trinary" and "scale" below that of the grey UNKNOWN, too, since nav2's 0.25 would free what map_saver wrote as
-    unknown. In the mode "raw" the sample, of 255, is the occupancy in percent, whatever `negate` says, and above 100
-    unknown. What is transparent, if only in part, is unknown. Raises UsageError for a file that is no image, is cut or
-    too large.
+    As map_server has it, a cell's brightness is the mean of red, green and blue, from 0 to 1, and its occupancy is 1
+    less the brightness, or the brightness itself with `negate`. A cell is free where the occupancy is below
+    `free_thresh`; in the modes "trinary" and "scale" it has to be below the occupancy of the grey UNKNOWN, too, since
+    nav2's 0.25 would free cells that map_saver wrote as unknown. In the mode "raw" the sample, of 255, is the occupancy
+    in percent, whatever `negate` says, and above 100 unknown. What is transparent, if only in part, is unknown. Raises
+    UsageError for a file that is no image, is cut or too large.
     """
     total, top, clear = _brightness(path)
     levels = np.arange(top + 1) / top
@@ -47,7 +47,7 @@ def solid_cells(path, mode, negate, free_thresh):
 
 
 def _brightness(path):
-    """The image `path`: the sum of each pixel's colours (rows, columns), what that is for white, and where it is not fully
+    """The image `path`: the sum of each pixel's colours (rows, columns), white's sum, and which pixels are not fully
     opaque (rows, columns) bool, or None."""
     content = read_bytes(path, "map image", MOST_BYTES)
     try:
@@ -89,7 +89,7 @@ def _portable(content):
             samples = np.frombuffer(text, np.uint8)
             samples = samples[(samples == ord("0")) | (samples == ord("1"))] - ord("0")
         else:
-            with warnings.catch_warnings():  # of what is no number, which shows in the count
+            with warnings.catch_warnings():  # NumPy warns of words that are no numbers; the count shows them
                 warnings.simplefilter("ignore")
                 samples = np.fromstring(text, np.int64, sep=" ")
     elif kind == "4":
@@ -114,7 +114,7 @@ def _picture(content):
     """An image in one of _FORMATS: what `_brightness` returns."""
     from PIL import Image, UnidentifiedImageError
 
-    with warnings.catch_warnings():  # of sizes, which are checked here, and of odd metadata
+    with warnings.catch_warnings():  # Pillow warns of sizes, which are checked here, and of odd metadata
         warnings.simplefilter("ignore")
         try:
             picture = Image.open(io.BytesIO(content), formats=_FORMATS)

@@ -46,21 +46,21 @@ class CrowdParallelEnv(ParallelEnv):
     |---|---|
     | lcf | the agent's local coordination factor |
     | individual | reward of eq. 5, by `weights`: metres closer, arrival, contact during the step |
-    | neighborhood | eq. 1: the mean of it over the other agents within 5 m, 0 where there are none |
+    | neighborhood | eq. 1: the mean individual reward of the other agents within 5 m, 0 where there are none |
     | collisions | steps of 0.02 s in contact so far |
 
     The reward is individual + lcf * neighborhood (`reward="coordinated"`; eq. 2 has the same sum of advantages) or the
-    individual one alone (`reward="individual"`).
+    individual reward alone (`reward="individual"`).
 
-    An agent terminates within 0.5 m of its goal: it leaves the map, and its last observation is from where it left.
-    Who still walks after `config.duration` (20 s) is truncated. (Arriving also ends an agent's neighbourhood rewards,
-    so that cooperative agents may learn to dawdle; `macid train` gives a new goal instead and never ends.)
+    An agent terminates within 0.5 m of its goal: it leaves the map, and its last observation is from where it left. An
+    agent that still walks after `config.duration` (20 s) is truncated. (Arriving also ends an agent's neighbourhood
+    rewards, so that cooperative agents may learn to dawdle; `macid train` gives a new goal instead and never ends.)
 
     level: one of macid.layout's levels (1 to 4, "v1" to "v4"), or a Layout (in a maze nobody is given a way). number:
     of people; default: the level's, else the config's. reset(seed=s) begins the episode that
     `macid evaluate --episodes 1 --seed s` plays there; a reset without a seed goes on to the next.
     reset(options={"lcf": ...}) sets the LCFs of the episode as the attribute `lcf` does; they are drawn from
-    `config.lcf` otherwise. engine: "native" or "mjx".
+    `config.lcf` otherwise. engine: "native", "mjx" or "warp", see macid.engines.
 
     Raises ValueError for unknown names and values outside their domain.
     """
@@ -140,7 +140,7 @@ class CrowdParallelEnv(ParallelEnv):
     @property
     def lcf(self):
         """Everybody's LCF, {agent: number}, to read. Set it at any time: to a number for all, to a range (least, most)
-        from which each draws, or to {agent: number} for those named."""
+        from which each draws, or to {agent: number} for some agents."""
         self._check_begun()
         return types.MappingProxyType(dict(zip(self.possible_agents, self._lcf.tolist(), strict=True)))
 
@@ -196,9 +196,9 @@ class CrowdParallelEnv(ParallelEnv):
         return self._by_agent(np.array(observed[0])), self._infos(moment)
 
     def step(self, actions):
-        """One decision of all `agents`: {agent: (2,)}; those of who has left are ignored.
+        """One decision of all `agents`: {agent: (2,)}; actions of agents that have left are ignored.
 
-        Returns observations, rewards, terminations, truncations and infos, {agent: ...}, of those who acted.
+        Returns observations, rewards, terminations, truncations and infos, {agent: ...}, of the agents that acted.
         Raises ValueError where an action is missing or not finite, gymnasium.error.ResetNeeded where nobody is left.
         """
         self._check_usable()
@@ -206,6 +206,7 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("Nobody is on the map. Call reset before step.")
         self._episode, told, moment = self._advance_jitted(self._episode, self._stack(actions))
         (observed, arrived, individual, neighborhood), moment = jax.device_get((told, moment))
+        self.crowd.engine.check()
         self._moments.append(moment)
         self._steps += 1
         rewards = individual if self.reward == "individual" else individual + self._lcf * neighborhood
@@ -221,7 +222,7 @@ class CrowdParallelEnv(ParallelEnv):
         return result
 
     def recording(self, name="agents"):
-        """The episode so far, for `macid.watch.film(recording, path)`. name: of who walks, for the header."""
+        """The episode so far, for `macid.watch.film(recording, path)`. name: the pedestrians' name, for the header."""
         from macid.watch import Recording
 
         self._check_begun()
@@ -243,7 +244,7 @@ class CrowdParallelEnv(ParallelEnv):
         yaw = self.crowd.engine.read(episode.physics).yaw
         episode, outcome = self.crowd.transition(episode, to_command(to_velocity(action[None]), yaw), self.weights)
         observed, moment = self._look(episode)
-        # Who has left stands far away by now: its last look is from the goal.
+        # An agent that has left stands far away by now: its last observation is from the goal.
         observed = jax.lax.cond(
             jnp.any(outcome.arrived),
             lambda: jnp.where(
@@ -255,7 +256,7 @@ class CrowdParallelEnv(ParallelEnv):
         return episode, jax.tree.map(lambda leaf: leaf[0], told), moment
 
     def _stack(self, actions):
-        """`actions` as (K, 2) float32, zeros for who has left."""
+        """`actions` as (K, 2) float32, zeros for agents that have left."""
         if missing := [agent for agent in self.agents if agent not in actions]:
             raise ValueError(
                 f"All {len(self.agents)} agents on the map need an action: that of {missing[0]} is missing."

@@ -23,11 +23,11 @@ from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
 FEATURES = observation.SIZE + 1  # the goal's two columns become three
-MOST_READING = 1e6  # of any number in an observation but a ray's distance [m, m/s, rad/s]
-MOST_WEIGHT = 1e6  # in a network, so that what it gives is finite
+MOST_READING = 1e6  # any number in an observation but a ray's distance [m, m/s, rad/s]
+MOST_WEIGHT = 1e6  # in a network, so that its outputs are finite
 MOST_LAYERS = 64
-MOST_POLICY_BYTES = 1 << 26  # of a policy's weights, packed and unpacked [bytes]
-MOST_RECIPE_BYTES = 1 << 24  # of its recipe [bytes]
+MOST_POLICY_BYTES = 1 << 26  # a policy's weights, packed and unpacked [bytes]
+MOST_RECIPE_BYTES = 1 << 24  # its recipe [bytes]
 _GOAL_SCALE = math.log1p(24.0)
 _RAYS, _DISTANCES = slice(5, observation.SIZE), slice(5, observation.SIZE, 3)  # columns
 
@@ -73,7 +73,8 @@ def mlp(layers, x):
 
 
 def to_velocity(action):
-    """(v, w) (..., 2) [m/s, rad/s] of network outputs `action` (..., 2): clipped to [-1, 1]; -1 stands, +1 is top speed."""
+    """(v, w) (..., 2) [m/s, rad/s] of network outputs `action` (..., 2): clipped to [-1, 1]; -1 stands, +1 is top
+    speed."""
     xp = action.__array_namespace__()
     clipped = xp.minimum(xp.maximum(action, -xp.ones_like(action)), xp.ones_like(action))
     return xp.stack([(clipped[..., 0] + 1.0) * (MAX_SPEED / 2), clipped[..., 1] * MAX_YAW_RATE], axis=-1)
@@ -83,10 +84,10 @@ def to_velocity(action):
 class Policy:
     """A trained policy: `policy(observation, lcf) -> (v, w)`.
 
-    layers: the network's weights and biases, float32 NumPy. recipe: how it was made and how it scores. Raises ValueError
-    where the layers don't follow on each other, or hold a weight that is not finite or beyond MOST_WEIGHT.
+    layers: the network's weights and biases, float32 NumPy. recipe: how it was made and how it scores. Raises
+    ValueError where the layers don't follow on each other, or hold a weight that is not finite or beyond MOST_WEIGHT.
 
-    What it is given is looked at (`understood` says how), so that nothing comes out that is not finite.
+    Its inputs are checked (`understood` says how), so that its outputs are finite.
     """
 
     layers: tuple
@@ -103,11 +104,12 @@ class Policy:
         return to_velocity(self.action(observed, lcf))
 
     def action(self, observed, lcf):
-        """The same as actions (..., 2), unclipped, as `to_velocity` reads them."""
+        """The network's outputs (..., 2), unclipped, as `to_velocity` reads them."""
         return self.act(*understood(observed, lcf))
 
     def act(self, observed, lcf):
-        """`action` for float32 observations (..., 41) that `observe` made and LCFs (...) known to be right, unlooked at."""
+        """`action` for float32 observations (..., 41) that `observe` made and for LCFs (...), without checking
+        either."""
         lcf = observed.__array_namespace__().broadcast_to(lcf, observed.shape[:-1])
         return mlp(self.layers, inputs(self.see(observed), lcf))
 
@@ -118,7 +120,7 @@ class Policy:
 
     @property
     def period(self):
-        """Time between the decisions that it was trained with [s]; a physics step where the recipe doesn't tell."""
+        """The time between decisions in the policy's training [s]; a physics step where the recipe doesn't tell."""
         return self.recipe.get("period", PHYSICS_STEP)
 
     def save(self, path):
@@ -128,8 +130,8 @@ class Policy:
     def to_torch(self):
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch.
 
-        It refuses what `understood` refuses, and reads the rest alike; where torch compiles, traces or maps it, nothing can
-        be refused, and it gives what comes out under jax.jit.
+        It refuses what `understood` refuses, and reads the rest alike; where torch compiles, traces or maps it, nothing
+        can be refused, and its outputs are those of the policy under jax.jit.
         """
         import torch
 
@@ -201,16 +203,16 @@ class Policy:
 def understood(observed, lcf):
     """Observations (..., 41) and LCFs (...) as a policy takes them, float32 arrays, NumPy or JAX, as `observed` is.
 
-    observed, lcf: arrays, lists or numbers; flags and whole numbers count as numbers. A ray's distance of RAY_RANGE or more,
-    infinity included, reads as RAY_RANGE with no relative velocity, as `observe` has it. Everything else is taken as it is:
-    a speed or yaw rate beyond a person's own, a collision flag between 0 and 1, a goal where one stands.
+    observed, lcf: arrays, lists or numbers; flags and whole numbers count as numbers. A ray's distance of RAY_RANGE or
+    more, infinity included, reads as RAY_RANGE with no relative velocity, as `observe` has it. Everything else is taken
+    as it is: a speed or yaw rate beyond a person's own, a collision flag between 0 and 1, a goal where one stands.
 
-    Raises ValueError for what can't be understood: NaN, a negative distance, any other number that is infinite or beyond
-    MOST_READING, an LCF outside [-MAX_LCF, MAX_LCF], what is no number, a wrong shape.
+    Raises ValueError for what can't be understood: NaN, a negative distance, any other number that is infinite or
+    beyond MOST_READING, an LCF outside [-MAX_LCF, MAX_LCF], what is no number, a wrong shape.
 
-    Under jax.jit (and vmap, grad) only shapes and types can be refused. A number that isn't understood then counts as one
-    that is: an unknown distance as RAY_RANGE, a negative one as 0, another NaN as 0, and what lies outside its range as the
-    range's nearer end.
+    Under jax.jit (and vmap, grad) only shapes and types can be refused. Another number then takes the place of one that
+    isn't understood: RAY_RANGE of an unknown distance, 0 of a negative one, 0 of another NaN, and the nearer end of its
+    range of a number outside it.
     """
     observed, lcf = _numbers(observed, "An observation"), _numbers(lcf, "An LCF")
     _check_shapes(observed.shape, lcf.shape)
@@ -241,7 +243,7 @@ def _within(xp, x, least, most):
 
 
 def _is_traced(x):
-    """Whether `x` stands for values that JAX doesn't have yet."""
+    """Whether `x` stands for values that JAX doesn't have yet, as under jax.jit."""
     jax = sys.modules.get("jax")
     return jax is not None and isinstance(x, jax.core.Tracer)
 
@@ -275,7 +277,8 @@ def _check_shapes(observed, lcf):
 
 
 def _check_observed(observed):
-    """Raises ValueError unless the NumPy observations (..., 41) can be understood; it names the column and the number."""
+    """Raises ValueError unless the NumPy observations (..., 41) can be understood; it names the column and the
+    number."""
     good = np.abs(observed) <= MOST_READING
     good[..., _DISTANCES] = observed[..., _DISTANCES] >= 0.0
     if good.all():
@@ -298,7 +301,7 @@ def _check_observed(observed):
 
 
 def _check_lcf(lcf):
-    """Raises ValueError unless all of the NumPy array are LCFs."""
+    """Raises ValueError unless every number of the NumPy array is an LCF."""
     good = np.abs(lcf) <= MAX_LCF
     if not good.all():
         raise ValueError(f"An LCF is a number from -{MAX_LCF:g} to {MAX_LCF:g}, not {lcf[~good].flat[0]:g}.")
@@ -310,7 +313,8 @@ def policy_names():
 
 
 def load_policy(name):
-    """The policy `name`: a shipped one ("macid", "macid-3"), or a .npz file. Raises ValueError, naming the valid ones."""
+    """The policy `name`: a shipped one ("macid", "macid-3"), or a .npz file. Raises ValueError, naming the valid
+    ones."""
     path = pathlib.Path(name)
     if path.suffix != ".npz":
         shipped = policy_names()
@@ -346,7 +350,7 @@ _Name = Annotated[str, msgspec.Meta(pattern=r"^[ -~]{1,200}\Z")]  # on one line 
 
 
 class _Recipe(msgspec.Struct):
-    """What is read of the recipe of a pedestrians' policy. What else there is was noted for people."""
+    """The keys of a pedestrian policy's recipe that are read. All other keys were noted for people."""
 
     name: _Name | msgspec.UnsetType = msgspec.UNSET
     method: _Name | msgspec.UnsetType = msgspec.UNSET
@@ -397,7 +401,8 @@ def write_network(path, layers, recipe):
 
 
 def read_network(path):
-    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is none."""
+    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is
+    none."""
     path = pathlib.Path(path)
     return _parsed(path, *_contents(path))
 

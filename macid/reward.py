@@ -32,14 +32,15 @@ NEIGHBOR_DISTANCE = 5.0  # d_n of eq. 1 [m]
 
 
 def neighbors(position):
-    """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody is one's own."""
+    """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody neighbours
+    himself."""
     return geometry.pairs_within(position, NEIGHBOR_DISTANCE)
 
 
 def neighborhood_mean(values, near):
-    """Mean of `values` (..., K, F) over each person's neighbours `near` (..., K, K): (..., K, F); 0 for who has none.
+    """Mean of `values` (..., K, F) over each person's neighbours `near` (..., K, K): (..., K, F); 0 without neighbours.
 
-    Of individual rewards it is eq. 1.
+    Eq. 1 is this mean of the neighbours' individual rewards.
     """
     xp = values.__array_namespace__()
     weight = xp.astype(near, values.dtype)

@@ -14,7 +14,7 @@ _DETOUR, _DETOUR_LENGTH = 1.3, 3.0  # a way is first looked for up to this share
 _MOST_CELLS = 200_000  # looked at in one go, for memory's sake
 _LOOK_AHEAD = 16  # points of a way that are looked at in one go
 _MOVES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # of cells, in the order of their numbers
-_MARGIN = 0.1  # kept from obstacles beside the radius, where there is room [m]
+_MARGIN = 0.1  # paths keep so far from obstacles beside the radius, where there is room [m]
 
 
 class NoFreeSpace(ValueError):
@@ -80,7 +80,8 @@ def shortest(graph, source, target, reach):
 
 
 def _spread(counts):
-    """Of things of which N owners have `counts` (N,): whose each thing is, and its number among its owner's, from 0."""
+    """N owners have `counts` (N,) things. For each thing: its owner's index, and its number among the owner's
+    things."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -135,7 +136,8 @@ def _barred(starts, goals, boxes, radius):
 
 
 def refuse_blocked_routes(layout):
-    """Raises NoFreeSpace for a route of `layout` whose points leave no room for a person, or between which none can go."""
+    """Raises NoFreeSpace for a route of `layout` that has a point without room for a person, or points between which no
+    person can walk."""
     for number, route in enumerate(layout.routes):
         room = geometry.point_box_distance(route, layout.boxes).min(axis=-1)
         if (room < RADIUS - 1e-9).any():
@@ -202,7 +204,7 @@ class Router:
 
     @functools.cached_property
     def _tree(self):
-        """A tree of the free cells' centres, which tells of a place the nearest."""
+        """A tree of the free cells' centres, which finds the centre nearest to a place."""
         return spatial.cKDTree(self._grid[0])
 
     @functools.cached_property
@@ -211,8 +213,8 @@ class Router:
         return csgraph.connected_components(self._grid[1], directed=False)[1]
 
     def joins(self, starts, goals):
-        """Whether there is a way from each of `starts` (N, 2) to its of `goals` (N, 2): (N,) bool. Where this holds, `path`
-        finds one."""
+        """Whether there is a way from each of `starts` (N, 2) to its own of `goals` (N, 2): (N,) bool. Where there is,
+        `path` finds one."""
         starts, goals = np.broadcast_arrays(np.asarray(starts, dtype=float), np.asarray(goals, dtype=float))
         tree, parts = self._tree, self._parts
         joined = parts[tree.query(starts)[1]] == parts[tree.query(goals)[1]]
@@ -228,7 +230,7 @@ class Router:
         return self.paths([start], [goal])[0]
 
     def paths(self, starts, goals):
-        """What `path` finds for each of `starts` (N, 2) and its of `goals` (N, 2): a list of N arrays.
+        """What `path` finds from each of `starts` (N, 2) to its own of `goals` (N, 2): a list of N arrays.
 
         Quicker than one by one."""
         starts, goals = (np.reshape(np.asarray(ends, dtype=float), (-1, 2)) for ends in (starts, goals))
@@ -260,7 +262,7 @@ class Router:
     def _pulled(self, starts, ways):
         """`ways`, arrays (W, 2) [m], from `starts` (N, 2), pulled straight.
 
-        Whoever goes walks straight to the farthest point that is seen before the first unseen one, and on from there."""
+        A person walks straight to the farthest point that is seen before the first unseen point, and on from there."""
         corners, starts, ways = [[] for _ in ways], starts.copy(), list(ways)
         wide = self.radius + _MARGIN / 2
         ahead = np.zeros(len(ways), int)  # points of a way that are known to be seen
@@ -283,7 +285,8 @@ class Router:
 
 
 def rest_of_route(route, place, end):
-    """What is left of `route` (W, 2) [m] for who stands at `place` (2,) and walks to its end nearer to `end` (2,): (V, 2)."""
+    """What is left of `route` (W, 2) [m] for a person who stands at `place` (2,) and walks to the route's end that is
+    nearer to `end` (2,): (V, 2)."""
     if ((route[0] - end) ** 2).sum() < ((route[-1] - end) ** 2).sum():
         route = route[::-1]
     step = np.diff(route, axis=0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from macid.state import HEIGHT, PHYSICS_STEP, RADIUS, RESPONSE
 
-# Contact bits: (contype, conaffinity) of whatever takes part. A pair touches where one's type meets the other's affinity.
+# Contact bits: (contype, conaffinity) of each shape. Two shapes touch where one's type meets the other's affinity.
 BIT_PERSON, BIT_SOLID, BIT_FLOOR = 1, 2, 4
 PROXY_CONTACT = (BIT_PERSON, BIT_PERSON)  # people with people and walls
 CYLINDER_CONTACT = (BIT_SOLID, 0)  # people with a robot
@@ -22,8 +22,8 @@ FLOOR_CONTACT = (BIT_FLOOR, 0)
 
 WALL_HEIGHT = 1.2  # [m]
 OUTER_WALL_HEIGHT = 1.6  # [m]
-CAMERA_NEAR = 0.005  # from where a camera sees; a robot's lies less than 2 cm behind its front [m]
-_PROXY_HEIGHT = 0.5  # of the sphere's centre: below every wall's top [m]
+CAMERA_NEAR = 0.005  # a camera sees nothing closer; a robot's camera lies less than 2 cm behind its front [m]
+_PROXY_HEIGHT = 0.5  # height of the sphere's centre: below every wall's top [m]
 
 FLOOR_RGBA = (0.80, 0.81, 0.82, 1.0)
 WALL_RGBA = (0.93, 0.93, 0.91, 1.0)
@@ -33,12 +33,12 @@ PERSON_RGBA = (0.36, 0.62, 0.40, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class PersonConfig:
-    """A pedestrian's body. The actuators reach a commanded velocity with `response` as their time constant, as long as
-    that takes no more than `max_force`; Unity, the paper's engine, sets velocities at once."""
+    """A pedestrian's body. The actuators reach a commanded velocity with the time constant `response`, as long as they
+    need no more than `max_force` for it; Unity, the paper's engine, sets velocities at once."""
 
     mass: float = 75.0  # [kg]
     response: float = RESPONSE  # [s]
-    max_force: float = 400.0  # of each slide's actuator [N]: what somebody who pushes can bring up
+    max_force: float = 400.0  # of each slide's actuator [N]: as hard as a person can push
     friction: float = 0.4  # sliding, with people and walls
 
 
@@ -173,7 +173,7 @@ def add_boxes(spec, boxes, movable=False):
             material="wall" if index < 4 else "obstacle",
             contype=WALL_CONTACT[0],
             conaffinity=WALL_CONTACT[1],
-            friction=[0.0, 0.005, 0.0001],  # MuJoCo takes the greater of a pair's: that of whoever touches the box
+            friction=[0.0, 0.005, 0.0001],  # MuJoCo takes the greater of a pair's: here the person's or the robot's
         )
 
 

@@ -1,7 +1,8 @@
-"""How the commands begin and end as processes: Ctrl-C from the first moment on, and another package in the place of `bson`.
+"""How the commands begin and end as processes: Ctrl-C from the first moment on, and another package in the place of
+`bson`.
 
-The console scripts begin here. What is imported above all else is there as Python starts, or small, so that Ctrl-C is heard
-before anything that takes long or fails.
+The console scripts begin here. This file imports only modules that Python has loaded anyhow, or small ones, so that
+Ctrl-C is heard before anything that takes long or fails.
 """
 
 import os
@@ -9,8 +10,8 @@ import signal
 import sys
 
 INTERRUPTED = 130  # exit code after Ctrl-C
-_ANSWER = 1.0  # for which Python may be busy in compiled code, as while XLA compiles, before Ctrl-C ends the process [s]
-_CLEANING = 15.0  # for which what was interrupted may close files and remove what is half written [s]
+_ANSWER = 1.0  # Python may be busy so long in compiled code, as while XLA compiles, before Ctrl-C ends the process [s]
+_CLEANING = 15.0  # interrupted work has so long to close files and to remove what is half written [s]
 _PACKAGE = "bson-macid"
 CURE = (
     f"Give {_PACKAGE} an environment of its own, without pymongo and bson: python -m venv NEW, then "
@@ -20,8 +21,12 @@ CURE = (
 
 
 class _Interrupts:
-    """What Ctrl-C does to a command: nothing is begun, so it ends at once; from `cleaning_up` on KeyboardInterrupt is
-    raised, so that what is half written goes; within `deferred` it waits for a place to save. A second one ends all."""
+    """What Ctrl-C does to a command.
+
+    As long as nothing is begun, it ends the process at once. From `cleaning_up` on, it raises KeyboardInterrupt, so
+    that half-written files are removed. Within `deferred` it waits for a place to save. A second Ctrl-C ends the
+    process.
+    """
 
     def __init__(self, program):
         self.program, self.came, self.raised, self.raises, self.worth = program, 0, False, False, None
@@ -41,7 +46,7 @@ class _Interrupts:
         os._exit(INTERRUPTED)
 
     def watch(self, pipe):
-        """Waits, in a thread, for signals that the main thread does not get to see or does not obey."""
+        """Waits, in a thread, for signals that the main thread does not see or does not obey."""
         from time import sleep
 
         while signals := os.read(pipe, 64):
@@ -62,7 +67,8 @@ _interrupts = None  # of this process's command
 
 
 def run(program, main):
-    """The exit code of `main()`, the command `program` of this process; Ctrl-C is one line and exit code 130 throughout.
+    """The exit code of `main()`, the command `program` of this process; Ctrl-C is one line and exit code 130
+    throughout.
 
     Does not return after Ctrl-C: threads of MuJoCo and XLA may be at work, and an ordinary end would wait for them or
     crash.
@@ -113,7 +119,8 @@ def _open_standard_handles():
 
 
 def _end_children():
-    """Ends processes that this one waits for, as GLFW asks one for its version: they would tell of their pipe's end."""
+    """Ends processes that this one waits for (GLFW asks one for its version): they would complain that their pipe
+    broke."""
     try:
         for thread in os.listdir("/proc/self/task"):
             with open(f"/proc/self/task/{thread}/children") as children:
@@ -141,8 +148,8 @@ def _flush(stream):
 
 
 def _unraisable(what):
-    """Keeps quiet of a KeyboardInterrupt that Python could not raise where it came, as in a weak reference's callback: the
-    process ends by `_Interrupts.watch`."""
+    """Prints nothing about a KeyboardInterrupt that Python could not raise where it came, as in a weak reference's
+    callback: `_Interrupts.watch` ends the process."""
     if not issubclass(what.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(what)
 
@@ -159,10 +166,11 @@ def cleaning_up():
 
 
 class deferred:
-    """A context in which Ctrl-C waits for a place where the work can be saved, as long as there is something `worth()` it.
+    """A context in which Ctrl-C waits until the work can be saved, as long as `worth()` says that there is work to
+    save.
 
-    It gives a function: whether Ctrl-C came, so that the work is to be saved and KeyboardInterrupt raised. A second Ctrl-C
-    is as ever; so is all in another thread than the main one.
+    It gives a function that tells whether Ctrl-C came: the work is then to be saved, and KeyboardInterrupt to be
+    raised. A second Ctrl-C ends the process as ever. In another thread than the main one nothing is deferred.
     """
 
     def __init__(self, worth=lambda: True):
@@ -204,7 +212,7 @@ def others():
 
 
 def shadowed():
-    """What is wrong with the package `bson`, in a sentence; None where it is ours. It is not imported."""
+    """What is wrong with the package `bson`, in a sentence; None where it is ours. The package is not imported."""
     from importlib.util import find_spec
     from pathlib import Path
 
@@ -236,7 +244,8 @@ def bson():
 
 
 def bson_command():
-    """The command `bson` with this process's words, where `bson` is ours; otherwise what is to be done. Its exit code."""
+    """Runs the command `bson` with this process's words, where `bson` is ours; otherwise says what to do. Returns the
+    exit code."""
     from importlib import import_module, util
     from pathlib import Path
 
@@ -259,7 +268,7 @@ def macid():
 
 
 def macid_command():
-    """The command `macid` with this process's words. Its exit code."""
+    """Runs the command `macid` with this process's words; returns the exit code."""
     from macid.cli import main
 
     return main(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""What every physics engine gives, and all that the code behind `physics.py` sees."""
+"""What every physics engine gives, and all that the code behind `macid.engines` sees."""
 
 from typing import Any, NamedTuple
 

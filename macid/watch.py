@@ -1,4 +1,4 @@
-"""Films of a crowd, drawn offscreen: the whole map from above, and what one of its people sees, at eye height.
+"""Films of a crowd, drawn offscreen: the whole map from above, and the view of one of its people, at eye height.
 
 A person's colour is its LCF. Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL:
 `macid.drawing.gl_problem()` says what is missing.
@@ -17,7 +17,7 @@ from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, 
 from macid.evaluate import level_name, level_seed
 from macid.files import UsageError
 from macid.layout import WALL_THICKNESS, Layout, load_level
-from macid.pedestrians import MODELS, make_controller
+from macid.pedestrians import is_learned, make_controller
 from macid.state import GOAL_RADIUS, RADIUS
 
 FPS = 25
@@ -25,7 +25,7 @@ EYE_HEIGHT = 1.6  # [m]
 _FIELD_OF_VIEW = math.radians(84)  # of the eye, from left to right
 _PITCH = math.radians(-10)
 _TRAIL = 2.0  # [s]
-_TOUCH = 0.2  # for which a contact is shown [s]: one of a single step would flash by
+_TOUCH = 0.2  # a contact is shown so long [s]: a contact of a single step would flash by
 _CONTACT_RGB, _TRAIL_RGB, _RULE_RGB = (0.84, 0.0, 0.55), (0.55, 0.55, 0.55), (0.61, 0.55, 0.78)
 _FLOOR, _GRID, _OBSTACLE, _WALL = (226, 228, 230), (212, 214, 217), (158, 146, 132), (112, 119, 130)
 _TUBE = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -39,7 +39,7 @@ _EYE, _LEGEND = (724, 116, 766, 520), (724, 646, 766, 104)
 class Moment(NamedTuple):
     """A crowd at one instant."""
 
-    position: np.ndarray  #: (K, 2) [m]; of no meaning for who has left
+    position: np.ndarray  #: (K, 2) [m]; without meaning for a person who has left
     yaw: np.ndarray  #: (K,) [rad]
     walking: np.ndarray  #: (K,) bool: on the map
     touching: np.ndarray  #: (K,) bool: in contact now or in the last 0.2 s
@@ -65,13 +65,14 @@ class Recording:
 
     @property
     def duration(self):
-        """Of the episode [s]."""
+        """The episode's length [s]."""
         return (len(self.position) - 1) * self.period
 
     @property
     def colours(self):
-        """RGB (K, 3) in [0, 1]: of the LCFs, or one for all where a rule has no use for them."""
-        return np.tile(_RULE_RGB, (len(self.lcf), 1)) if self.pedestrian in MODELS else lcf_colour(self.lcf)
+        """Everybody's colour, RGB (K, 3) in [0, 1]: the LCF's, or one colour for all where a rule has no use for
+        LCFs."""
+        return lcf_colour(self.lcf) if is_learned(self.pedestrian) else np.tile(_RULE_RGB, (len(self.lcf), 1))
 
     def at(self, time):
         """The Moment at `time` [s], people's places interpolated between decisions."""
@@ -79,7 +80,7 @@ class Recording:
         exact = min(max(time / self.period, 0.0), last)
         step = min(int(exact + 1e-6), last)
         then, share = min(step + 1, last), max(exact - step, 0.0)
-        stays = self.walking[then]  # who leaves has its next place off the map
+        stays = self.walking[then]  # a person who leaves has its next place off the map
         move = np.where(stays[:, None], self.position[then] - self.position[step], 0.0)
         turn = np.where(stays, geometry.wrap_angle(self.yaw[then] - self.yaw[step]), 0.0)
         before = max(0, step - max(1, round(_TOUCH / self.period)))
@@ -97,7 +98,7 @@ class Recording:
 
 
 def record(pedestrian, level, config=CrowdConfig(), seed=0):
-    """The episode that `macid evaluate --episodes 1` has for the same arguments, as a Recording.
+    """A Recording of the episode that `macid evaluate --episodes 1` plays with the same arguments.
 
     config's `number` is overridden by the level's. Raises UsageError where physics fails.
     """
@@ -116,7 +117,7 @@ def record(pedestrian, level, config=CrowdConfig(), seed=0):
 
 
 def worth_following(recording, step=0):
-    """Of those on the map at `step`, one whose way from then on is long and near the middle of the crowd: its index."""
+    """The index of a person on the map at `step` whose way from then on is long and near the middle of the crowd."""
     walking, position = recording.walking[step:], recording.position[step:]
     counts = np.maximum(walking.sum(axis=1, keepdims=True), 1)
     middle = (position * walking[..., None]).sum(axis=1) / counts
@@ -128,14 +129,14 @@ def worth_following(recording, step=0):
 class Film(drawing.Stage):
     """Draws a recording. Close it, or use it in a `with`; raises Unavailable without OpenGL.
 
-    follow: whose eyes to look through (default: `worth_following`); when it has left, somebody else's. scale: of the
-    picture, 1 is 1500 x 760. samples: of anti-aliasing, 0 or 4.
+    follow: the person whose eyes to look through (default: `worth_following`); when it has left, somebody else's.
+    scale: the picture's size, 1 for 1500 x 760. samples: 0 or 4, for anti-aliasing.
     """
 
     def __init__(self, recording, follow=None, scale=1.0, samples=0):
         super().__init__(scene.crowd_spec(recording.layout, 0).compile(), _SIZE, (_MAP, _EYE), scale, samples)
         self.recording = recording
-        step, self._watched = 0, {}  # from which step on, who
+        step, self._watched = 0, {}  # {the step from which on a person is watched: the person}
         while recording.walking[step:].any():
             chosen = follow if step == 0 and follow is not None else worth_following(recording, step)
             self._watched[step] = chosen
@@ -146,14 +147,14 @@ class Film(drawing.Stage):
         self._ground = self._draw_ground()
 
     def frame(self, time, speed=None):
-        """The composed picture at `time` [s]. speed: of the playback, for the header."""
+        """The composed picture at `time` [s]. speed: the playback's, for the header."""
         recording, moment = self.recording, self.recording.at(time)
         page = self.page()
         self._draw_map(page, time, moment)
         self._draw_eye_view(page, time, moment)
         low, high = recording.lcf_range
         title = f"{recording.pedestrian} on {level_name(recording.level)}: {len(recording.lcf)} people"
-        if recording.pedestrian not in MODELS:
+        if is_learned(recording.pedestrian):
             title += f", LCF {low:.3g}" if low == high else f", LCF {low:.3g} to {high:.3g}"
         notes = [f"seed {recording.seed}"]
         if speed is not None:
@@ -167,11 +168,12 @@ class Film(drawing.Stage):
         return self.on_map(_MAP, (0.0, 0.0), self._span, place)
 
     def watched(self, time):
-        """The index of the one whose eyes show the crowd at `time` [s]."""
+        """The index of the person whose eyes show the crowd at `time` [s]."""
         return self._watched[max(step for step in self._watched if step <= time / self.recording.period + 1e-6)]
 
     def _gaze(self, time):
-        """Place (2,) [m] and heading [rad] of the watched one's eyes; of its last moment on the map if it has left."""
+        """Place (2,) [m] and heading [rad] of the watched person's eyes; those of its last moment on the map if it has
+        left."""
         recording, person = self.recording, self.watched(time)
         time = min(time, recording.last_step(person) * recording.period)
         centre, reach = round(time / recording.period), round(0.8 / recording.period)
@@ -181,7 +183,7 @@ class Film(drawing.Stage):
         return recording.at(time).position[person], math.atan2(weights @ np.sin(yaw), weights @ np.cos(yaw))
 
     def _draw_eye_view(self, page, time, moment):
-        """What the watched one sees."""
+        """What the watched person sees."""
         recording, person = self.recording, self.watched(time)
         place, heading = self._gaze(time)
         self.pose()
@@ -200,14 +202,14 @@ class Film(drawing.Stage):
         self.look([*place, EYE_HEIGHT], forward, np.cross(forward, [*left, 0.0]), half_height)
         self.render(page, _EYE)
         label = f"What person {person} sees"
-        if recording.pedestrian not in MODELS:
+        if is_learned(recording.pedestrian):
             label += f" (LCF {recording.lcf[person]:.2f})"
         if not moment.walking[person]:
             label = "Everybody has arrived"
         self.write_label(page, _EYE, label)
 
     def _on_ground(self, place):
-        """`map_pixel`, from the corner of the map's own picture."""
+        """`map_pixel`, counted from the corner of the map's own picture."""
         return self.map_pixel(place) - self.rect(_MAP)[:2]
 
     def _draw_ground(self):
@@ -224,7 +226,7 @@ class Film(drawing.Stage):
         return ground
 
     def _draw_map(self, page, time, moment):
-        """People, their trails and goals, and where the watched one looks."""
+        """People, their trails and goals, and where the watched person looks."""
         import cv2
 
         left, top, width, height = self.rect(_MAP)
@@ -278,7 +280,7 @@ class Film(drawing.Stage):
             self.write_reading(page, (left + 14 * unit + x * width, top + 22 * unit), name, value)
         left, top, width, _ = self.rect(_LEGEND)
         x0, x1 = round(left + 14 * unit), round(left + width - 14 * unit)
-        if recording.pedestrian in MODELS:
+        if not is_learned(recording.pedestrian):
             note = f"'{recording.pedestrian}' is a rule without LCFs: everybody has one colour."
             drawing.write(page, note, (x0, top + 36 * unit), 0.44 * unit, MUTED)
         else:
@@ -294,7 +296,8 @@ class Film(drawing.Stage):
 
 
 def film(recording, path, speed=1.0, follow=None, scale=0.75, progress=None):
-    """Writes `recording` as the VP8 video `path` (.webm) of 25 frames/s, played `speed` times as fast; returns the path.
+    """Writes `recording` as the VP8 video `path` (.webm) of 25 frames/s, played `speed` times as fast; returns the
+    path.
 
     progress(done, total) is called after each frame.
     Raises Unavailable without OpenGL, OSError where `path` can't be written. All or nothing: no half file is left.

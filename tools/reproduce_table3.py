@@ -142,7 +142,7 @@ def averaged(runs):
 
 
 def cells(measured, names=PARTS):
-    """A Markdown row's cells: means, those of the SNS and the collisions with their intervals."""
+    """A Markdown row's cells: means; the SNS and the collisions have their intervals, too."""
     found = summarise([row for row in measured if row])
     text = []
     for name in names:
@@ -153,14 +153,15 @@ def cells(measured, names=PARTS):
 
 
 def seed_means(by_seed, metric):
-    """A metric's means of each seed's episodes, as a cell's text."""
+    """A metric's mean over each seed's episodes, as a cell's text: one number a seed."""
     return ", ".join(f"{np.mean([row[metric] for row in episodes if row]):.1f}" for episodes in by_seed)
 
 
 def ship(algo, files, measured, suite, folder):
-    """Copies to `folder` the robot of those of `algo` that did best in validation, its scores and all seeds' noted.
+    """Copies to `folder` the robot of the algorithm `algo` that did best in validation, and notes its scores and all
+    seeds'.
 
-    measured: the episodes of each of `files`.
+    files: the robots. measured: the episodes that each of them played.
     """
     measured = [[row for row in rows if row] for rows in measured]
     recipes = [json.loads(file.with_suffix(".json").read_text()) for file in files]
@@ -207,7 +208,8 @@ def _by_lcf(agents, score):
 
 
 def _carried(robots, score, metric):
-    """Lines of the carry-over table of a metric; robots: {crowd they were trained among, or an agent's name: files}."""
+    """Lines of a metric's carry-over table. robots: {the crowd that robots were trained among, or an agent's name:
+    files}."""
     among = (*CROWDS, UNMET)
     table = [f"| {metric}: trained among | " + " | ".join(among) + " | mean |", "|---" * (2 + len(among)) + "|"]
     for home, files in robots.items():

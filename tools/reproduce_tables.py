@@ -21,6 +21,7 @@ import numpy as np
 from macid import command
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_WORLDS, Parser, add_executor, check_words
 from macid.crowd import CrowdConfig
+from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
@@ -81,7 +82,8 @@ def wanted(agent_steps, seeds=None):
 def find_policies(configs, *folders):
     """{model: {seed: policy file}} of folders, read from the recipes.
 
-    Who has the name of one of `configs` but was trained otherwise is told of and left out: tables are of equal samples.
+    A policy that has the name of one of `configs` but was trained otherwise is named on stderr and left out: all of a
+    row's seeds are to be trained alike.
     """
     configs, found = {config.name: config for config in configs}, {}
     for file in sorted(file for folder in folders for file in pathlib.Path(folder).rglob("*.npz")):
@@ -100,11 +102,12 @@ def find_policies(configs, *folders):
     return found
 
 
-def train_missing(configs, found, folder, executor=None):
-    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds, side by
-    side on an executor of several workers."""
+def train_missing(configs, found, folder, executor=None, engine="native"):
+    """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds: side by
+    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster so."""
+    kind, _ = engine_kind(engine)
     todo = [
-        replace(config, seed=seed)
+        replace(config, seed=seed, engine=engine)
         for config, seeds in configs.items()
         for seed in range(seeds)
         if seed not in found.get(config.name, {})
@@ -112,9 +115,17 @@ def train_missing(configs, found, folder, executor=None):
     if executor is not None and executor.workers is not None:
         train_apart(executor, todo, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
         return
-    for number, config in enumerate(todo, start=1):
-        print(f"training {number} of {len(todo)}: {config.name}, seed {config.seed}", file=sys.stderr, flush=True)
-        train(config, folder, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
+    groups = []  # (config, how many seeds from its own on)
+    for config in todo:
+        before, count = groups[-1] if groups else (None, 0)
+        if kind.stacks and before and replace(before, seed=before.seed + count) == config:
+            groups[-1] = before, count + 1
+        else:
+            groups.append((config, 1))
+    for number, (config, count) in enumerate(groups, start=1):
+        seeds = f"seed {config.seed}" if count == 1 else f"seeds {config.seed} to {config.seed + count - 1}"
+        print(f"training {number} of {len(groups)}: {config.name}, {seeds}", file=sys.stderr, flush=True)
+        train(config, folder, count, resume=True, show=lambda line: print(line, file=sys.stderr, flush=True))
 
 
 def evaluation(file, level, lcf, episodes):
@@ -210,7 +221,8 @@ def note_scores(files, rows_by_seed):
 
 
 def over_seeds(rows_by_seed, columns=COLUMNS):
-    """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None of one."""
+    """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None for a single
+    seed."""
     values = np.array(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
@@ -240,7 +252,7 @@ def ranks(values):
 
 
 def told_range(values, digits=2):
-    """The mean of `values` with the least and the greatest, as text; those that are NaN don't count."""
+    """The mean of `values` with the least and the greatest, as text; values that are NaN don't count."""
     known = np.asarray(values, float)[np.isfinite(values)]
     numbers = (known.mean(), known.min(), known.max()) if len(known) else ()
     return "{} [{}, {}]".format(*(f"{number:.{digits}f}" for number in numbers)) if numbers else "-"
@@ -256,8 +268,8 @@ KNOB = {  # of knob.md: the figure of `measure_knob`, and what it is
 def knob_table(figure, by_method, levels):
     """Lines of a table: rank correlations of a figure of KNOB with the LCF, a row a policy, a column a level.
 
-    by_method: {method: [seed][level] rows of `measure_knob`}. The last columns are of the figure's mean over the levels:
-    its rank correlation, and what it is in the most adversarial section and in the most cooperative one.
+    by_method: {method: [seed][level] rows of `measure_knob`}. The last two columns tell of the figure's mean over the
+    levels: its rank correlation, and its values in the most adversarial and in the most cooperative section.
     """
     names = [*map(level_name, levels), "all maps", "first to last section"]
     lines = [text_row(KNOB[figure], names), "|---" * (1 + len(names)) + "|"]
@@ -307,7 +319,7 @@ def _make(args, executor):
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if not args.no_train:
-        train_missing(configs, find_policies(configs, args.policies, runs), runs, executor)
+        train_missing(configs, find_policies(configs, args.policies, runs), runs, executor, args.engine)
     policies = {
         name: list(dict(sorted(by_seed.items())).values())
         for name, by_seed in find_policies(configs, args.policies, runs).items()
@@ -439,6 +451,7 @@ def main():
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
+    parser.add_argument("--engine", type=command.name, default="native", help="of trainings: native, mjx or warp, see macid.engines")
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")

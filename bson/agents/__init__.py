@@ -9,12 +9,7 @@ observation: the dict of one world (see bson.env.BsonEnv). action: (2,) in [-1, 
 tensor, which is detached from its gradient and brought to the CPU.
 """
 
-import importlib
-import importlib.util
 import inspect
-import os
-import pathlib
-import sys
 from typing import Any
 
 from bson.agents import learned
@@ -30,11 +25,11 @@ from bson.agents.contract import (
     check_settings,
     its_code,
     made_for,
-    raised,
     reset_agent,
     takes_setting,
 )
 from macid.documents import shown
+from macid.registry import Kind
 
 __all__ = [
     "BUILT_IN",
@@ -53,9 +48,6 @@ __all__ = [
     "made_for",
     "reset_agent",
 ]
-
-_MISSING = object()
-_SHOWN = 40  # names in a message
 
 BUILT_IN = {
     "stop": "bson.agents.scripted:stop",
@@ -77,13 +69,6 @@ def agent_names():
     return [*BUILT_IN, *learned.names()]
 
 
-def _help():
-    return (
-        f"Choose one of {', '.join(agent_names())}, a 'module:function', a file 'agent.py[:function]', "
-        "or a trained 'policy.npz'."
-    )
-
-
 def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given),
     or a trained one's file .npz; or the agent itself, a function or a class.
@@ -96,15 +81,9 @@ def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     if not isinstance(name, str):
         return _Factory(name, agent_label(name))
     if name in BUILT_IN:
-        return _Factory(_from_module(*BUILT_IN[name].split(":"), name), name)
-    if name in learned.names() or name.endswith(".npz"):
-        return learned.load(name, untrained)
-    module, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
-    if (module or name).endswith(".py"):
-        return _Factory(_from_file(module or name, attribute or "agent", name), name)
-    if not attribute:
-        raise AgentError(f"Unknown agent '{name}'. {_help()}")
-    return _Factory(_from_module(module, attribute, name), name)
+        return _Factory(AGENTS.load(name), name)
+    found = AGENTS.load(name)
+    return learned.load(name, True) if untrained and isinstance(found, learned.Factory) else found
 
 
 def agent_label(agent: Any) -> str:
@@ -115,46 +94,11 @@ def agent_label(agent: Any) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _from_module(module, attribute, name):
-    if not all(part.isidentifier() for part in module.split(".")):
-        raise AgentError(f"Agent '{name}': '{module}' is no module's name. {_help()}")
-    if os.getcwd() not in sys.path:  # a console script has no current folder there
-        sys.path.insert(0, os.getcwd())
-    try:
-        loaded = importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name and module.startswith(error.name):  # the module itself is not there
-            raise AgentError(f"Agent '{name}': can't import '{module}' ({error}). {_help()}") from None
-        raise AgentFailed(f"Agent '{name}': importing '{module}' {raised(error)}.") from error
-    except (Exception, SystemExit) as error:
-        raise AgentFailed(f"Agent '{name}': importing '{module}' {raised(error)}.") from error
-    return _attribute(loaded, attribute, name)
-
-
-def _from_file(path, attribute, name):
-    if not pathlib.Path(path).is_file():
-        raise AgentError(f"Agent '{name}': there is no file '{path}'. {_help()}")
-    spec = importlib.util.spec_from_file_location(f"bson_agent_{pathlib.Path(path).stem}", path)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    folder = str(pathlib.Path(path).resolve().parent)
-    if folder not in sys.path:  # for what lies beside the file
-        sys.path.insert(0, folder)
-    with its_code(name, f"running '{path}'"):
-        spec.loader.exec_module(module)
-    return _attribute(module, attribute, name)
-
-
-def _attribute(module, attribute, name):
-    with its_code(name, f"its '{attribute}'"):
-        found = getattr(module, attribute, _MISSING)
-    if found is _MISSING:
-        there = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
-        more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-        told = ", ".join(there[:_SHOWN]) or "no callables"
-        raise AgentError(f"Agent '{name}': no '{attribute}' there. There are: {told}{more}.")
+def _own(found, name):
     if not callable(found):
+        attribute = name.rpartition(":")[2] if ":" in name else "agent"
         raise AgentError(f"Agent '{name}': '{attribute}' is not callable.")
-    return found
+    return _Factory(found, name)
 
 
 class _Factory:
@@ -187,3 +131,17 @@ class _Factory:
             if not self.takes_setting:
                 return self._found()
             return made_for(self._found, setting or Setting.default(self.track, self.sensor))
+
+
+AGENTS: Kind[AgentFactory] = Kind(
+    "agent",
+    BUILT_IN,
+    shipped=learned.names,
+    read=learned.load,
+    files=(".npz",),
+    own="function",
+    attribute="agent",
+    check=_own,
+    error=AgentError,
+    failed=AgentFailed,
+)

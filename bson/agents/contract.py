@@ -7,8 +7,6 @@ import contextlib
 import dataclasses
 import inspect
 import pathlib
-import sysconfig
-import traceback
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
@@ -18,17 +16,17 @@ from bson.robot import RobotConfig, load_robot
 from bson.sensors import Sensor
 from bson.task import TaskConfig
 from bson.tracks import KEYS, MAP_RESOLUTION, TRACKS, LocalTrack, make_track
-from macid.documents import shown
+from macid.files import UsageError
+from macid.registry import Failed, raised
 
-_LIBRARY = sysconfig.get_paths()["stdlib"]  # Python's own files
-_OURS = {__file__, str(pathlib.Path(__file__).with_name("__init__.py"))}
+_OURS = (__file__, str(pathlib.Path(__file__).with_name("__init__.py")))
 
 
-class AgentError(ValueError):
+class AgentError(UsageError):
     """An agent can't be found, or did what no agent may do."""
 
 
-class AgentFailed(AgentError, RuntimeError):
+class AgentFailed(AgentError, Failed):
     """An agent's own code raised an error, the cause, or called exit()."""
 
 
@@ -175,23 +173,7 @@ def its_code(name, doing):
     except Unsuited as error:
         raise Unsuited(f"Agent '{name}' {error}") from None
     except (Exception, SystemExit) as error:
-        raise AgentFailed(f"Agent '{name}': {doing} {raised(error)}.") from error
-
-
-def raised(error):
-    """What somebody's code raised, and where: the last line of it that is not of Python or of an installed package."""
-    if isinstance(error, SystemExit):
-        what = f"called exit({'' if error.code is None else shown(error.code)})"
-    else:
-        text = " ".join(str(error).split())
-        what = f"raised {type(error).__name__}{text and ': '}{text[:500]}"
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{what} in {error.filename}, line {error.lineno}"
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
-    theirs = [frame for frame in frames if frame.filename not in _OURS and "site-packages" not in frame.filename]
-    theirs = [frame for frame in theirs if not frame.filename.startswith(_LIBRARY)]
-    frame = theirs[-1] if theirs else frames[-1] if frames[1:] else None
-    return f"{what} in {frame.filename}, line {frame.lineno}" if frame else what
+        raise AgentFailed(f"Agent '{name}': {doing} {raised(error, _OURS)}.") from error
 
 
 def reset_agent(agent: Agent, seed: int, name: str = "agent") -> None:
@@ -211,18 +193,19 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
         action = agent(observation)
     except KeyError as error:
         if not any(key in KEYS and key not in observation for key in error.args if isinstance(key, str)):
-            raise AgentFailed(f"Agent '{name}' {raised(error)}.") from error
+            raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error
         raise AgentError(
             f"Agent '{name}' asks for observation[{error}], which its track and sensor don't give. There are: "
-            f"{', '.join(observation)}. Choose others by --track and --sensor, or the agent's attributes track and sensor."
+            f"{', '.join(observation)}. Choose others by --track and --sensor, or the agent's attributes track and "
+            "sensor."
         ) from error
     except (Exception, SystemExit) as error:
-        raise AgentFailed(f"Agent '{name}' {raised(error)}.") from error
+        raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error
     try:
         array = _as_numbers(action)
     except (Exception, SystemExit) as error:  # whatever an array of somebody's own raises
         raise AgentError(
-            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error)}; {_ACTION}."
+            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; {_ACTION}."
         ) from error
     if array.shape != (2,):
         raise AgentError(f"Agent '{name}' returned {_kind(action)} of shape {array.shape}; {_ACTION}.")

@@ -51,7 +51,7 @@ class DwaConfig:
     near: float = 1.2  # gap below which room is short
     margin: float = 0.06  # that the footprint grows by
     margin_per_speed: float = 0.1  # and more for each m/s [s]
-    slack: float = 0.1  # share of the gap by which who is within the margin may come closer
+    slack: float = 0.1  # within the margin: the share of the gap by which the robot may come closer
     pass_time: float = 0.05  # the present gap over this is the top speed [s]
     creep: float = 0.4  # that may be driven at any gap, or half the top speed, if that is less [m/s]
 

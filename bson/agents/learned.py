@@ -38,7 +38,8 @@ class Learned:
     track, sensor = "local", "lidar2d"
 
     def __init__(self, layers, output, top=TOP):
-        self._layers, self._output, self.top = layers, _OUTPUTS[output], top
+        self.layers, self.output, self.top = layers, output, top
+        self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
 
     def reset(self, seed):
@@ -55,9 +56,9 @@ class Learned:
     def act(self, x):
         """Actions (N, 2) for features (N, FEATURES)."""
         with np.errstate(over="ignore", invalid="ignore"):  # whoever acts by it refuses what is not finite
-            for weight, bias in self._layers[:-1]:
+            for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight + bias, 0.0)
-            weight, bias = self._layers[-1]
+            weight, bias = self.layers[-1]
             return self._output(x @ weight + bias)
 
 
@@ -96,8 +97,8 @@ def _lidar(setting):
 
 
 def _trained(recipe, path):
-    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its policy
-    was trained with the default sensors. Raises UsageError."""
+    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its
+    policy was trained with the default sensors. Raises UsageError."""
     called = f"the policy's recipe '{path.with_suffix('.json')}'"
     if "setting" in recipe:
         trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")
@@ -141,7 +142,7 @@ def _shown(value):
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-class _Factory:
+class Factory:
     """The AgentFactory of the policy `name` with `layers` and `recipe`, of the file `path`."""
 
     track, sensor, takes_setting = Learned.track, Learned.sensor, True
@@ -175,17 +176,18 @@ class _Factory:
 def load(name, untrained=False):
     """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none.
 
-    The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with, unless
-    `untrained`.
+    The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with,
+    unless `untrained`.
     """
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
     layers, recipe = read_network(path)
     output = recipe.get("output")
     if not isinstance(output, str) or output not in _OUTPUTS:
         raise UsageError(
-            f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of {', '.join(_OUTPUTS)}."
+            f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of "
+            f"{', '.join(_OUTPUTS)}."
         )
     for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:
             raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
-    return _Factory(name, path, layers, recipe, untrained)
+    return Factory(name, path, layers, recipe, untrained)

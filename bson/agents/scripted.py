@@ -52,8 +52,8 @@ class Goal:
 
 
 class StopAndGo(Goal):
-    """Stands while anything is within 1.5 m of its front in the 60 degrees ahead of the LIDAR; else drives as Goal does,
-    at top speed."""
+    """Stands while anything is within 1.5 m of its front in the 60 degrees ahead of the LIDAR; else drives as Goal
+    does, at top speed."""
 
     speed = 1.0
 

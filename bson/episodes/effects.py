@@ -37,12 +37,13 @@ def _met(episode):
 
 
 def find_effects(episode) -> dict[str, np.ndarray]:
-    """What the robot did to each of the people that it met on their way to their first goal: {name: (K,)}, NaN for the
-    others; {} where the Episode has no pair (people_alone).
+    """What the robot did to each person whom it met on the way to that person's first goal: {name: (K,)}, NaN for all
+    other people; {} where the Episode has no pair (people_alone).
 
-    delay [s]: how much later they reach that goal than without the robot; who gets there in one run only counts as
-    there at the other's end, who does in neither not at all. detour [m]: how much farther they walk to it, beyond what
-    brings them closer. added_contact [s]: how much longer they touch other people, over the whole episode.
+    delay [s]: how much later the person reaches the goal than without the robot. A person who gets there in one of the
+    two runs only counts as arriving at the end of the other; a person who gets there in neither has NaN. detour [m]:
+    how much farther the person walks to the goal, beyond what brings it closer. added_contact [s]: how much longer the
+    person touches other people, over the whole episode.
     """
     if episode.people_alone is None:
         return {}

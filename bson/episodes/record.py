@@ -95,13 +95,18 @@ class Recorder:
         )
 
     def _shortest(self):
-        """Length [m] of the router's shortest way for the robot, or of the straight one where it finds none."""
-        from macid.routing import Router  # metrics, which know Episodes, do without
-
         world, index = self._world, self._index
-        start, goal = self._rows["pose"][0][:2], world.goal[index]
-        try:
-            way = Router(world.layouts[index], world.config.robot.radius).path(start, goal)
-        except ValueError:  # a passage may be wider than the robot and narrower than a grid can tell
-            way = goal[None]
-        return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())
+        start, radius = self._rows["pose"][0][:2], world.config.robot.radius
+        return shortest_way(world.layouts[index], start, world.goal[index], radius)
+
+
+def shortest_way(layout, start: np.ndarray, goal: np.ndarray, radius: float) -> float:
+    """Length [m] of the router's shortest way on `layout` from `start` to `goal` (2,) for a robot of `radius` [m], or
+    of the straight one where it finds none."""
+    from macid.routing import Router  # metrics, which know Episodes, do without
+
+    try:
+        way = Router(layout, radius).path(start, goal)
+    except ValueError:  # a passage may be wider than the robot and narrower than a grid can tell
+        way = goal[None]
+    return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())

@@ -17,7 +17,9 @@ from bson.suites import Cell
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.executors import Carried, Executor, carry_files, carry_module
+from macid.files import UsageError
 from macid.maps import map_files
+from macid.registry import own_module
 
 _TELL = 0.2  # between messages on control steps [s]
 _MODEL = frozenset(
@@ -35,6 +37,7 @@ class Play:
     seeds: tuple[int, ...]
     called: str = "agent"
     untrained: bool = False  # whether it may drive in another setting than it was trained in
+    engine: str = "native"  # of the worlds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +51,13 @@ class Pair:
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
     """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
     agent's factory, where it is loaded already."""
+    if job.engine == "warp":
+        from bson.interfaces.play import LearnedOnDevice
+        from bson.interfaces.play import play as play_on_device
+
+        for episode in play_on_device(LearnedOnDevice(job.agent), job.config, job.seeds):
+            send((len(episode.pose) - 1, episode))
+        return
     make_agent = make_agent or load_agent(job.agent, job.untrained)
     run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
 
@@ -71,6 +81,19 @@ def _told_by(send):
     return progress
 
 
+def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any, paired: bool) -> None:
+    """Raises UsageError where `engine` is none, or plays nothing of what was asked."""
+    if engine != "warp":
+        raise UsageError(f"Unknown engine {engine!r}. Choose 'native' or 'warp'.")
+    if not (isinstance(agent, str) and (agent in learned.names() or agent.endswith(".npz"))):
+        known = ", ".join(learned.names())
+        raise UsageError(f"The engine 'warp' plays learned policies, {known} or a .npz file, not {agent}.")
+    if track != (learned.Learned.track, learned.Learned.sensor):
+        raise UsageError("The engine 'warp' plays the local track with lidar2d: leave --track and --sensor out.")
+    if executor != "local" or paired:
+        raise UsageError("The engine 'warp' plays in this process, and no pairs: leave --executor and --paired out.")
+
+
 def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:
     """`seeds` of one cell in parts, each a job: all at once in this process; elsewhere about two jobs a worker over the
     `total` that is to be played, of at most a batch. Results don't depend on it."""
@@ -90,13 +113,15 @@ def carried_agent(agent: Any) -> Carried:
         return Carried()
     if agent.endswith(".npz"):
         return carry_files(_network(agent))
-    module, _colon, attribute = agent.rpartition(":") if ":" in agent else (agent, "", "agent")
-    top = None
-    if module.endswith(".py"):
-        path = pathlib.Path(module)
-        module, top = f"bson_agent_{path.stem}", path.parent
-    found = getattr(sys.modules.get(module), attribute or "agent", None)
-    return carry_module(module, getattr(found, "files", ()), top)
+    return carried_code(agent, "agent")
+
+
+def carried_code(name: str, attribute: str = "") -> Carried:
+    """What travels of somebody's own code `name`, as carried_agent has it; nothing of another name. attribute: of a file
+    that is given without one."""
+    module, path = own_module(name), pathlib.Path(name.rpartition(":")[0] if ":" in name else name)
+    found = getattr(sys.modules.get(module), name.rpartition(":")[2] if ":" in name else attribute, None)
+    return carry_module(module, getattr(found, "files", ()), path.parent if path.suffix == ".py" else None)
 
 
 def carried_task(config: TaskConfig) -> Carried:
@@ -108,7 +133,12 @@ def carried_task(config: TaskConfig) -> Carried:
             files += [file for file in folder.rglob("*") if file.suffix.lower() in _MODEL]
     for model in config.model_shares:
         files += _network(model) if model.endswith(".npz") else []
-    return carry_files(files)
+    return sum(map(carried_code, config.model_shares), carry_files(files))
+
+
+def carried_track(track: tuple[Any, Any]) -> Carried:
+    """What travels of what make_track takes, where these are names of somebody's own."""
+    return sum((carried_code(each) for each in track if isinstance(each, str)), Carried())
 
 
 def _network(path):
@@ -126,7 +156,7 @@ def play_each(
     """
     carried = Carried()
     for each in plays:
-        carried += carried_agent(each.agent) + carried_task(each.config)
+        carried += carried_agent(each.agent) + carried_task(each.config) + carried_track(each.track)
     found = [{} for _ in plays]
     total = sum(len(each.seeds) for each in plays)
     parts = [(place, share) for place, each in enumerate(plays) for share in shares(each.seeds, total, executor)]
@@ -155,23 +185,24 @@ def play_cells(
     paired: bool,
     watch: Callable[[str | None, bool, int, int], Any],
     keep: Callable[[Cell, Episode], None],
+    engine: str = "native",
 ) -> list[list[Episode]]:
     """The Episodes `seeds` of each of `cells`.
 
     make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep:
     called with each that ends. watch: gives a context of a function progress(control steps, whether an episode ended),
     of the cell's name (None: of all cells) and whether it is without the robot, how many episodes there are, and how
-    many are done. paired: also plays without the robot.
+    many are done. paired: also plays without the robot. engine: of the worlds, see bson.benchmark.evaluate.
     """
     whole = executor.workers is not None  # all cells at once, elsewhere
 
     def play_of(cell):
-        return Play(agent, cell.config, track, tuple(seeds), called, untrained)
+        return Play(agent, cell.config, track, tuple(seeds), called, untrained, engine)
 
     playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()
     if whole:
-        carried += carried_agent(agent)
+        carried += carried_agent(agent) + carried_track(track)
         for config in {cell.config: None for cell in cells}:
             carried += carried_task(config)
     for places in [range(len(cells))] if whole else [[place] for place in range(len(cells))]:

@@ -94,8 +94,9 @@ def linear_layers(module):
 
 
 def export(model):
-    """The layers of a model's mean action, and how its output becomes an action: "clip" or "tanh"."""
-    if isinstance(model, PPO):
-        policy = model.policy
-        return linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"
-    return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
+    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one with
+    an actor, as SAC has, "clip" of others."""
+    if hasattr(model, "actor"):
+        return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
+    policy = model.policy
+    return linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"

@@ -6,6 +6,7 @@ import functools
 import pathlib
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,9 +14,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned
-from bson.agents.contract import Setting
+from bson.agents.contract import Setting, Unsuited
 from bson.evaluate import run_episodes, sound, versions
-from bson.evaluation.executors import carried_agent, carried_task
+from bson.evaluation.executors import carried_agent, carried_code, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
@@ -25,7 +26,7 @@ from bson.suites import load_suite
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid import start
-from macid.documents import read_document
+from macid.documents import read_document, shown
 from macid.executors import Carried
 from macid.files import UsageError, lock_folder
 from macid.learning.curves import (
@@ -43,6 +44,7 @@ from macid.learning.curves import (
 )
 from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES, write_network
+from macid.registry import Kind, own_module
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
@@ -57,6 +59,29 @@ PRESETS = {
         "bc": BcConfig(hidden=(1024, 1024), final_learning_rate=1e-3),
     },
 }
+
+
+def _own(found, name):
+    """Somebody's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3 model;
+    `export(model)`, if there is one, gives layers and output as algorithms.export does."""
+    with KIND.running(name, "making one"):
+        found = found() if isinstance(found, type) else found
+    if not (dataclasses.is_dataclass(found) and callable(getattr(found, "build", None))):
+        raise UsageError(f"Algorithm '{name}' must be a dataclass with a method build(env, seed), not {shown(found)}.")
+    return found
+
+
+KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
+
+
+def hyperparameters(algo: str, preset: str = "fast") -> Any:
+    """The configuration of the algorithm `algo` in a preset; one's own algorithm has it the same in all. Raises UsageError,
+    naming the valid choices."""
+    if preset not in PRESETS:
+        raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
+    return PRESETS[preset].get(algo) or KIND.load(algo)
+
+
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
 _VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
 _RECENT = 100  # ended episodes over which the curve's means go
@@ -74,11 +99,10 @@ class TrainConfig:
     num_envs: int = 16
     validate_every: int = 100_000  # steps; the policy that scores best is the one that is kept
     validate_episodes: int = 64
-    hyperparameters: PpoConfig | SacConfig | BcConfig | None = None  # default: the algorithm's
+    hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or one's own; default: the algorithm's
 
     def __post_init__(self):
-        if self.algo not in ALGORITHMS:
-            raise ValueError(f"Unknown algorithm '{self.algo}'. Choose one of {', '.join(ALGORITHMS)}.")
+        found = KIND.load(self.algo)
         for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
@@ -86,7 +110,7 @@ class TrainConfig:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
         self.setting  # raises what is wrong with the task
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", ALGORITHMS[self.algo])
+            object.__setattr__(self, "hyperparameters", found)
 
     @property
     def setting(self):
@@ -97,10 +121,11 @@ class TrainConfig:
     def name(self):
         """The algorithm, its preset where that is not the default, and among whom where these are not the default
         pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
-        paper, model = PRESETS["paper"][self.algo], self.task.get("pedestrian_model")
+        paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
             paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
-        parts = [self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        own = own_module(self.algo).removeprefix("own_").rpartition(".")[2]
+        parts = [own or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 
@@ -229,10 +254,14 @@ def _save_checkpoint(model, keeper):
 def _validate(model, keeper, interrupted):
     """Scores of the model's policy now, see `_Keeper.validate`. Ctrl-C leaves a checkpoint, which goes on with this."""
     try:
-        return keeper.validate(*export(model), model.num_timesteps, interrupted)
+        return keeper.validate(*_export(keeper.config, model), model.num_timesteps, interrupted)
     except KeyboardInterrupt:
         _save_checkpoint(model, keeper)
         raise
+
+
+def _export(config, model):
+    return getattr(config.hyperparameters, "export", export)(model)
 
 
 def _env(config, steps=0):
@@ -248,7 +277,7 @@ def _restored(keeper):
     found, noted = saved
     model = config.hyperparameters.build(_env(config, noted["steps"]), config.seed)
     try:
-        keeper.restore(checkpoint.restore(model, found, noted, export(model)[0]))
+        keeper.restore(checkpoint.restore(model, found, noted, _export(config, model)[0]))
     except ValueError as error:
         raise damaged(keeper.folder / CHECKPOINT, error) from None
     return model
@@ -293,6 +322,8 @@ def train(
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
+    if config.algo == "bc" and not is_done(config, path):
+        _expert(config)  # refused before anything is made
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -303,10 +334,10 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
-    model = None if config.algo == "bc" else _restored(keeper)
+    model = None if isinstance(config.hyperparameters, BcConfig) else _restored(keeper)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
-    if config.algo == "bc":
+    if isinstance(config.hyperparameters, BcConfig):
         return _train_bc(config, keeper, show)
     resumed = model is not None
     if resumed:
@@ -352,7 +383,7 @@ def train_apart(executor, configs, out, resume=False):
     `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
     carried, done = Carried(), {}
     for config in configs:
-        carried += carried_task(config.setting)
+        carried += carried_task(config.setting) + carried_code(config.algo)
         expert = getattr(config.hyperparameters, "expert", "")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
     with tqdm(
@@ -377,6 +408,17 @@ def _train_here(configs, out, show):
         train(config, out, resume=True, show=show)
 
 
+def _expert(config):
+    """The factory of BC's expert. Raises UsageError where it was trained in another setting than `config`'s."""
+    expert = learned.load(config.hyperparameters.expert)
+    try:
+        expert(Setting.of(config.setting, _TRACK))
+    except Unsuited as error:
+        told = str(error).partition(";")[0]
+        raise UsageError(f"{told}: BC needs an expert of its setting (in Python: BcConfig(expert=FILE)).") from None
+    return expert
+
+
 def _train_bc(config, keeper, show):
     hyperparameters, steps = config.hyperparameters, 0
 
@@ -386,7 +428,7 @@ def _train_bc(config, keeper, show):
         if steps % (100 * more) == 0:
             show(min(steps, config.steps), {})
 
-    expert = learned.load(hyperparameters.expert)
+    expert = _expert(config)
     seed = 1_000_000 * (config.seed + 1)
     episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
     x, action = select(episodes, hyperparameters.keep)

@@ -1,14 +1,30 @@
 """One call for every planner, and one that takes the detours out of a path."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bson.planners.grid import NoPath, cost_rate, line_costs
 from bson.planners.search import AStarConfig, DijkstraConfig, astar, dijkstra
 from bson.planners.trees import CarrtStar, CarrtStarConfig, Rrt, RrtConfig, RrtStar, RrtStarConfig
+from macid.files import UsageError
+from macid.registry import Kind
 
 
 def _tree(kind):
     return lambda *arguments: kind(*arguments).path()
+
+
+def _own(found, name):
+    """Somebody's own planner, `planner(grid, rate, start, goal, rng, config, known) -> (N, 2)` in cells, and its Config."""
+    if not callable(found):
+        raise UsageError(f"Planner '{name}' is not callable: it is a function of (grid, rate, start, goal, rng, config, known).")
+
+    def planner(*arguments):
+        with KIND.running(name, "planning"):
+            return np.asarray(found(*arguments), float)
+
+    return planner, getattr(found, "config", None)
 
 
 _PLANNERS = {
@@ -19,23 +35,23 @@ _PLANNERS = {
     "carrt-star": (_tree(CarrtStar), CarrtStarConfig),
 }
 PLANNERS = tuple(_PLANNERS)
+#: (planner, the class of its configuration or None) of a name
+KIND: Kind[tuple[Callable, type | None]] = Kind("planner", _PLANNERS, own="function", check=_own)
 
 
 def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
     """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
 
-    name: one of PLANNERS. cost: (rows, columns), at least 0, as of `social_cost`. rng: what the trees draw from, a
+    name: one of PLANNERS, or one's own, `module:function` or `file.py:function` (see _own). cost: (rows, columns), at least 0, as of `social_cost`. rng: what the trees draw from, a
     numpy Generator or a seed; None: seed 0. config: the planner's own (AStarConfig, ...); None: its defaults.
     known: a path (N, 2) [m] that the trees begin with, as far as it is free, such as what is left of the last one
     (anytime RRT*: Karaman et al., ICRA 2011). Then RRT returns it, and the others are no worse than it if it leads to the goal.
     Raises NoPath where there is none or none was found, and ValueError where start or goal is off the map or in an
     obstacle (`Grid.nearest_free` helps) and for what is no planner, cost map, config or path.
     """
-    if name not in _PLANNERS:
-        raise ValueError(f"Unknown planner {name!r}. Choose one of {', '.join(PLANNERS)}.")
-    planner, kind = _PLANNERS[name]
-    config = kind() if config is None else config
-    if type(config) is not kind:
+    planner, kind = KIND.load(name)
+    config = kind() if config is None and kind is not None else config
+    if kind is not None and type(config) is not kind:
         raise ValueError(f"Planner '{name}' is configured by a {kind.__name__}, not {config!r}.")
     rate = cost_rate(grid, cost)
     ends, regions = [], []

@@ -43,8 +43,8 @@ def astar(grid, rate, start, goal, rng, config, known):
 def _search(grid, rate, start, goal, weight):
     """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for those of theirs.
 
-    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic, the
-    octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
+    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic,
+    the octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
     """
     number, moves = grid.moves
     rows, columns = np.nonzero(~grid.occupied)
@@ -59,7 +59,8 @@ def _search(grid, rate, start, goal, weight):
         back, _ = shortest(graph, last, first, least)
         to_look_at = there + back <= least
     cells = _way(graph, first, last, weight * octile, to_look_at)
-    # The two cells of a straight step, and the four around a diagonal one, are free and convex: any point there does.
+    # The two cells of a straight step, and the four around a diagonal step, are free and form a rectangle: a straight
+    # line between any points in them stays free.
     between = np.stack([columns[cells], rows[cells]], axis=-1)[1:-1] + 0.5
     return np.concatenate([start[None], between, goal[None]])
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bson.task import Spawn, TaskConfig, controller, stops, ways_checker
-from macid import layout, physics
+from macid import contacts, layout
 from macid.state import GOAL_RADIUS, CrowdState, parking_place
 
 # Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No
@@ -36,7 +36,7 @@ def _box_rows(number):
     return next((rows for rows in BOXES if rows >= number), -(-number // _BOX_STEP) * _BOX_STEP)
 
 
-def _ways(layout, router, people, places, goals):
+def find_ways(layout, router, people, places, goals):
     """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last.
 
     They lead along the person's route, if the map has routes, and around obstacles, if there is a router. Raises
@@ -47,6 +47,20 @@ def _ways(layout, router, people, places, goals):
     starts = np.concatenate([[place, *way[:-1]] for place, way in zip(places, ways, strict=True)])
     legs = iter(router.paths(starts, np.concatenate(ways)))
     return [np.concatenate([next(legs) for _ in way]) for way in ways]
+
+
+def next_goals(config, map_layout, router, who, places, rng):
+    """Where the people `who` (N,) go once they are at their goals: for each of `places` (N, 2) a goal (N, 2) [m].
+
+    Along a route it is back to the other end; elsewhere goals are drawn from the Generator `rng`. Raises
+    NoFreeSpace."""
+    if map_layout.routes:
+        ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
+        far = [((pair - place) ** 2).sum(axis=-1).argmax() for pair, place in zip(ends, places, strict=True)]
+        return np.reshape([pair[which] for pair, which in zip(ends, far, strict=True)], (-1, 2))
+    region = map_layout.regions.get("people_goal")
+    distance, joins = config.people_goal_distance, ways_checker(config, router)
+    return layout.sample_goals(rng, map_layout, places, distance, region=region, joins=joins)
 
 
 @functools.lru_cache(64)
@@ -61,7 +75,7 @@ def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
 
     def decide(packed, boxes):
         position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
-        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], physics.touching(position, boxes))
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], contacts.touching(position, boxes))
         commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
         command = commands[0]
         for number, other in enumerate(commands[1:], start=1):
@@ -114,7 +128,7 @@ class People:
         for index in ids:
             if self._unplanned[index] is not None:
                 starts, goals = self._unplanned[index]
-                ways = _ways(self.layouts[index], self._routers[index], range(len(starts)), starts, goals)
+                ways = find_ways(self.layouts[index], self._routers[index], range(len(starts)), starts, goals)
                 self.heading[index] = np.reshape([way[0] for way in ways], (-1, 2))
                 self._routes[index], self._unplanned[index] = [way[1:] for way in ways], None
 
@@ -173,17 +187,10 @@ class People:
         """
         map_layout, router = self.layouts[index], self._routers[index]
         try:
-            if map_layout.routes:  # back to the other end
-                ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
-                goals = [
-                    pair[((pair - place) ** 2).sum(axis=-1).argmax()] for pair, place in zip(ends, places, strict=True)
-                ]
-            else:
+            if not map_layout.routes:
                 draws(self._rngs[index])
-                region = map_layout.regions.get("people_goal")
-                distance, joins = self._config.people_goal_distance, ways_checker(self._config, router)
-                goals = layout.sample_goals(self._rngs[index], map_layout, places, distance, region=region, joins=joins)
-            ways = _ways(map_layout, router, who, places, goals)
+            goals = next_goals(self._config, map_layout, router, who, places, self._rngs[index])
+            ways = find_ways(map_layout, router, who, places, goals)
         except layout.NoFreeSpace:
             return
         for person, way in zip(who, ways, strict=True):

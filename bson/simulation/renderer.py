@@ -33,7 +33,7 @@ class Renderer(drawing.Offscreen):
         self._frames = {}
 
     def view(self, name: str) -> int:
-        """The view of the camera `name`: a number that cameras share that see the same."""
+        """The view of the camera `name`: a number. Cameras that see the same picture have the same number."""
         model = self.model
         same = np.ones(model.ncam, bool)
         for field in ("bodyid", "pos", "quat", "resolution", "sensorsize", "intrinsic"):

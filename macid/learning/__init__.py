@@ -1,1 +1,1 @@
-"""Training of pedestrians by multi-agent PPO: five methods on one loop."""
+"""Training of pedestrians by multi-agent PPO: the six methods of `methods.METHODS` on one loop."""

@@ -1,4 +1,5 @@
-"""CoPO's meta step: one distribution of LCFs for everybody, moved towards the global reward (Peng et al., NeurIPS 2021).
+"""CoPO's meta step: one distribution of LCFs for everybody, moved towards the global reward (Peng et al., NeurIPS
+2021).
 
 Training makes theta_new = theta_old + alpha grad E[A(phi) log pi_old], so that the global objective of the new policy
 changes with the distribution's parameters as
@@ -23,7 +24,8 @@ INITIAL_STD = 0.1
 
 
 class Meta(NamedTuple):
-    """The distribution's parameters (2,): the mean is tanh of the first, the standard deviation exp of the second."""
+    """The distribution's parameters (2,): the LCF's mean is tanh of the first, its standard deviation exp of the
+    second."""
 
     distribution: Any
     optimizer: Any

@@ -24,9 +24,8 @@ def plain(config):
 
 
 def completed(saved, config):
-    """A configuration that was `saved`, as `plain` has it; fields that it lacks, as they came later, at their defaults.
-
-    config: a configuration (a dataclass) of the kind."""
+    """The configuration `saved`, in the form that `plain` gives; fields that it lacks, since they came later, get their
+    defaults. config: a configuration (a dataclass) of the kind."""
     whole = dict(saved)
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -41,8 +40,8 @@ def completed(saved, config):
 def training_folder(path, config, resume):
     """`path` as the folder of a training: it gets config.json.
 
-    config: a dataclass. Raises UsageError where another configuration's policy or checkpoint is there, or, if it isn't
-    to go on, this one's: nothing is trained over.
+    config: a dataclass. resume: whether the training may go on there. Raises UsageError where the folder has a policy
+    or a checkpoint of another configuration, or, without `resume`, of this one: no training is overwritten.
     """
     folder, noted = output_folder(path), plain(config)
     if any((folder / name).exists() for name in (CHECKPOINT, OLD_CHECKPOINT, "policy.npz", "policy.json")):
@@ -61,19 +60,19 @@ def training_folder(path, config, resume):
 
 
 def read_config(folder):
-    """config.json of the training in `folder`, a dict. Raises UsageError, which says what to do, where it is damaged."""
+    """config.json of the training in `folder`, a dict. Where it is damaged, UsageError says what to do."""
     try:
         return read_document(folder / "config.json", dict, "configuration")
     except UsageError as error:
         raise UsageError(
-            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or use "
-            "another --out."
+            f"{str(error).rstrip('.')}. The training in '{folder}' can't be told from another: delete the folder, or "
+            "use another --out."
         ) from None
 
 
 def write_checkpoint(folder, found, noted):
-    """Writes the checkpoint of the training in `folder`, all or nothing: arrays `found`, {name: array}, and `noted`, what
-    JSON has."""
+    """Writes the checkpoint of the training in `folder`, all or nothing: the arrays `found`, {name: array}, and
+    `noted`, a value of JSON."""
     write_bytes(pathlib.Path(folder) / CHECKPOINT, arrays.pack(found, {_NOTED: noted}))
 
 
@@ -100,7 +99,7 @@ def read_checkpoint(folder, schema):
 
 
 def damaged(path, reason):
-    """The UsageError for a checkpoint that is there, but is none of this training."""
+    """The UsageError for a checkpoint that is there, but does not belong to this training."""
     told = getattr(reason, "strerror", None) or str(reason).rstrip(".")
     return UsageError(f"'{path}' is damaged or of another version ({told}): delete it to begin anew.")
 
@@ -122,7 +121,7 @@ def thin(rows, most):
 
 
 def write_curve(path, rows):
-    """`rows`, dicts of numbers of the same keys, as a csv file; none of no rows."""
+    """Writes `rows`, dicts of numbers of the same keys, as a csv file; no file where there are no rows."""
     if not rows:
         return
     lines = [",".join(rows[0])] + [",".join(f"{value:.6g}" for value in row.values()) for row in rows]

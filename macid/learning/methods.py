@@ -1,4 +1,4 @@
-"""IPO, MFPO, CoPO, MAC-ID, MAC-ID(tri) and MAC-ID(touch): only what sets them apart.
+"""IPO, MFPO, CoPO, MAC-ID, MAC-ID(tri) and MAC-ID(touch): for each method only what sets it apart.
 
 Each agent maximises c_I A_I + c_N A_N, with coefficients of its LCF (eq. 2). IPO is MAC-ID with the LCF at zero.
 """
@@ -9,6 +9,9 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
+from macid.documents import shown
+from macid.files import UsageError
+from macid.registry import Kind
 from macid.reward import neighborhood_mean, neighbors
 
 
@@ -27,27 +30,29 @@ def quarter_turn(lcf):
     return trigonometric(jnp.clip(lcf, -1.0, 1.0) * (math.pi / 2))
 
 
-CARE = 8.0  # with 3 people collided more (on the maps for validation)
+CARE = 8.0  # at 3.0 people collided more (on the maps for validation)
 
 
 def considerate(lcf):
-    """MAC-ID(touch)'s coefficients: 1, and the LCF times CARE above 0, half of it below.
+    """MAC-ID(touch)'s coefficients: 1, and the LCF times CARE above 0, half the LCF below.
 
-    So at LCF 1 a touch costs oneself w_c and CARE times that for each other; at -2 the two cancel, and touching is free.
+    So at LCF 1 a touch costs w_c for oneself and CARE w_c for each other person; at -2 the two cancel, and touching is
+    free.
     """
     return jnp.ones_like(lcf), jnp.where(lcf > 0, CARE, 0.5) * lcf
 
 
 def neighbors_mean(reward, position, touched, weights):
-    """Eq. 1: the mean (..., K) of the neighbours' individual rewards (..., K), of people at `position` (..., K, 2) [m]."""
+    """Eq. 1: the mean (..., K) of the neighbours' individual rewards (..., K); people are at `position` (..., K, 2)
+    [m]."""
     return neighborhood_mean(reward[..., None], neighbors(position))[..., 0]
 
 
 def cost_of_touch(reward, position, touched, weights):
-    """MAC-ID(touch)'s instead of eq. 1: of the others' rewards, what one's touch costs them by eq. 5.
+    """MAC-ID(touch)'s shared reward (..., K), in place of eq. 1: what a person's touch costs the others by eq. 5.
 
-    touched (..., K): how many people one touches. It has nothing of what neighbours do by themselves, which in eq. 1 makes
-    company pay (everybody who walks earns) and is noise to one's own decisions.
+    touched (..., K): how many people each person touches. The rest of the neighbours' rewards is left out: it does not
+    follow from the person's own decisions, and in eq. 1 it makes company pay, since everybody who walks earns.
     """
     return -weights.collision * touched
 
@@ -66,7 +71,8 @@ class Method:
 
     @property
     def critics(self):
-        """Names of the value networks; each is of the reward of that name. Without LCFs the second would weigh nothing."""
+        """Names of the value networks; each predicts the reward of its name. Without LCFs the second would weigh
+        nothing."""
         if self.meta:
             return ("individual", "neighborhood", "global")
         return ("individual",) if self.lcf == (0.0, 0.0) else ("individual", "neighborhood")
@@ -90,8 +96,15 @@ METHODS = {
 }
 
 
-def get_method(name):
-    """The method `name`. Raises ValueError, naming the valid ones."""
-    if name not in METHODS:
-        raise ValueError(f"Unknown method '{name}'. Choose one of {', '.join(METHODS)}.")
-    return METHODS[name]
+def _own(found, name):
+    if not isinstance(found, Method):
+        raise UsageError(f"Method '{name}' must be a macid.learning.methods.Method, not {shown(found)}.")
+    return found
+
+
+KIND: Kind[Method] = Kind("method", METHODS, own="method", check=_own)
+
+
+def get_method(name: str) -> Method:
+    """The method `name`: one of METHODS, or one's own Method, `module:method` or `file.py:method`. Raises UsageError."""
+    return KIND.load(name)

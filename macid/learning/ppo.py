@@ -15,19 +15,19 @@ class PpoConfig:
     the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns better."""
 
     learning_rate: float = 1e-3
-    final_learning_rate: float = 5e-5  # annealed to, linearly over training
+    final_learning_rate: float = 5e-5  # the rate is annealed to it linearly over the training
     clip: float = 0.2  # epsilon of eq. 3
     gamma: float = 0.999
     lam: float = 0.95  # lambda of GAE
     batch: int = 2048
     epochs: int = 5
-    max_gradient_norm: float | None = 0.5  # of each network; None: not clipped
+    max_gradient_norm: float | None = 0.5  # each network's gradient is clipped to it; None: not clipped
     reward_scale: float = 0.1  # inside GAE and value losses
     log_std: float = -0.5  # initial
     entropy: float = 0.0
     standardize: bool = True  # the advantages of an update, to mean 0 and standard deviation 1
-    targets: str = "lambda"  # of the values: GAE's lambda-returns, or eq. 4's returns to the episode's end ("episode")
-    arrival: str = "mean"  # at a goal, whereupon there is a new one: see `gae`
+    targets: str = "lambda"  # what values learn: GAE's lambda-returns, or eq. 4's returns to the end ("episode")
+    arrival: str = "mean"  # what counts of the time after a goal, where a person gets a new one: see `gae`
 
     def __post_init__(self):
         if self.targets not in ("lambda", "episode"):
@@ -39,10 +39,11 @@ class PpoConfig:
 def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
-    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it.
-    redrawn (T, ...) bool: steps after which the state changes by a draw that no action influences (a new goal). What
-    follows such a step counts with its mean over all of them: neither luck nor bad luck is credited to what came before.
-    arrival: "end" instead of "mean": an episode ends there, and what follows does not count at all.
+    reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it. redrawn (T, ...)
+    bool: steps after which the state changes by a draw that no action influences (a new goal). The value of what
+    follows such a step is replaced by its mean over all redrawn steps, so that the decisions before it get no credit
+    for good or bad luck. arrival: "end" instead of "mean": an episode ends at such a step, and what follows does not
+    count at all.
     """
     next_value = jnp.concatenate([value[1:], last_value[None]])
     if redrawn is None:
@@ -106,22 +107,24 @@ def gaussian_log_density(z, log_std):
     return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
 
 
-def log_probability(policy, x, action):
-    """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS)."""
+def log_probability(policy, x, action, network=mlp):
+    """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS).
+
+    network: what makes an output of its layers and x, here as in what follows."""
     log_std = policy["log_std"]
-    return gaussian_log_density((action - mlp(policy["layers"], x)) * jnp.exp(-log_std), log_std)
+    return gaussian_log_density((action - network(policy["layers"], x)) * jnp.exp(-log_std), log_std)
 
 
-def clipped_objective(policy, x, action, old_log_probability, advantage, clip):
+def clipped_objective(policy, x, action, old_log_probability, advantage, clip, network=mlp):
     """Eq. 3, negated: the mean of min(rho A, clip(rho) A)."""
-    ratio = jnp.exp(log_probability(policy, x, action) - old_log_probability)
+    ratio = jnp.exp(log_probability(policy, x, action, network) - old_log_probability)
     clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
     return jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
 
-def value_loss(layers, x, target):
+def value_loss(layers, x, target, network=mlp):
     """Eq. 4: mean squared error of the value (...) against the return."""
-    return jnp.mean((mlp(layers, x)[..., 0] - target) ** 2)
+    return jnp.mean((network(layers, x)[..., 0] - target) ** 2)
 
 
 def coordinated_advantage(individual, neighborhood, lcf, coordination, standardize=True):
@@ -141,21 +144,21 @@ def make_optimizer(config, updates, networks):
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 
-def loss(parameters, batch, config):
+def loss(parameters, batch, config, network=mlp):
     """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
     objective = clipped_objective(
-        policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip
+        policy, batch["x"], batch["action"], batch["log_probability"], batch["advantage"], config.clip, network
     )
     values = sum(
-        value_loss(layers, batch["critic"], batch[f"return_{name}"])
+        value_loss(layers, batch["critic"], batch[f"return_{name}"], network)
         for name, layers in parameters.items()
         if name != "policy"
     )
     return values - objective - config.entropy * entropy
 
 
-def update(parameters, optimizer, optimizer_state, data, key, config):
+def update(parameters, optimizer, optimizer_state, data, key, config, network=mlp):
     """`epochs` passes over `data` (a dict of arrays with a leading axis (N,)) in shuffled minibatches."""
     count = data["advantage"].shape[0]
     batches = max(1, count // config.batch)
@@ -166,7 +169,7 @@ def update(parameters, optimizer, optimizer_state, data, key, config):
 
         def step(carry, index):
             parameters, state = carry
-            gradient = jax.grad(loss)(parameters, jax.tree.map(lambda x: x[index], data), config)
+            gradient = jax.grad(loss)(parameters, jax.tree.map(lambda x: x[index], data), config, network)
             change, state = optimizer.update(gradient, state, parameters)
             return (optax.apply_updates(parameters, change), state), None
 

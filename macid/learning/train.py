@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from macid import geometry, physics, scene, start
+from macid import contacts, geometry, scene, start
+from macid.engines import engine_kind, make_engine
+from macid.engines.base import repeat
 from macid.files import UsageError, lock_folder, versions
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
@@ -47,6 +49,15 @@ _STARTS = 32  # crowds from which episodes begin
 # lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it 1.3 s.
 PRESETS = {
     "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
+    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of ten
+    # times as many each.
+    "gpu": {
+        "ppo": learning.PpoConfig(batch=32_000, epochs=2, lam=0.985),
+        "nworld": 1024,
+        "rollout": 25,
+        "episode": 40,
+        "agent_steps": 300_000_000,
+    },
     # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes, constant rate,
     # eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
     "paper": {
@@ -95,7 +106,7 @@ class TrainConfig:
             for name, fields in PRESETS.items()
             if (fields["ppo"], fields.get("inputs", "features")) == (self.ppo, self.inputs)
         ]
-        parts = [self.method]
+        parts = [get_method(self.method).name]
         if "fast" not in presets:
             parts += presets or ["custom"]
         if self.period != PHYSICS_STEP:
@@ -117,10 +128,15 @@ class TrainConfig:
 
 
 def preset(name, **fields):
-    """The TrainConfig of the preset `name`, with `fields` changed. Raises ValueError, naming the valid ones."""
+    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError, naming the
+    valid presets."""
     if name not in PRESETS:
         raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
-    return TrainConfig(**{**PRESETS[name], **fields})
+    whole = {**PRESETS[name], **fields}
+    learned = {field.name for field in dataclasses.fields(learning.PpoConfig)} & fields.keys()
+    if learned:
+        whole["ppo"] = dataclasses.replace(whole["ppo"], **{field: whole.pop(field) for field in learned})
+    return TrainConfig(**whole)
 
 
 class Walk(NamedTuple):
@@ -164,7 +180,8 @@ def _figures(walk):
 class Trainer:
     """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several stacked.
 
-    devices: to share the work among (MJX only): of one seed the worlds, of several the seeds, which then run apart.
+    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the seeds,
+    which then run apart. Raises ValueError where it can't.
     """
 
     def __init__(self, config: TrainConfig, devices=None):
@@ -173,7 +190,9 @@ class Trainer:
         layout = load_level(config.level)
         self.number = layout.pedestrians
         model = scene.crowd_spec(layout, self.number).compile()
-        self.engine = physics.make_physics(config.engine, model, self.number, layout.boxes, config.nworld)
+        self.engine = make_engine(config.engine, model, self.number, layout.boxes, config.nworld)
+        if devices and not self.engine.shards:
+            raise ValueError(f"The engine '{config.engine}' runs on one device, not on {len(devices)}.")
         self.samples = config.nworld * self.number * config.rollout  # agent-steps an iteration
         self.iterations = -(-config.agent_steps // self.samples)
         batches = max(1, self.samples // config.ppo.batch)
@@ -293,11 +312,11 @@ class Trainer:
                 state = self.engine.step(state, command)
                 after = self.engine.read(state)
                 steps_in_contact = steps_in_contact + after.contact
-                return state, after, steps_in_contact, pairs | physics.touching_people(after.position)
+                return state, after, steps_in_contact, pairs | contacts.touching_people(after.position)
 
             steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
             pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
-            carried = physics.repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
+            carried = repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
             state, after, steps_in_contact, pairs = carried
             before_distance = geometry.norm(goals - crowd.position)
             distance = geometry.norm(goals - after.position)
@@ -342,11 +361,9 @@ class Trainer:
             estimates[name] = advantage, returns
         return estimates
 
-    def _iterate(self, state: TrainState):
-        """A rollout and an update: the next TrainState, and what to log (scalars)."""
+    def _experience(self, state, walk, steps, last):
+        """What an update learns from, of a rollout's transitions: {name: array (samples, ...)}."""
         config = self.config
-        key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
-        walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
         estimates = self._estimates(state.parameters, steps, last)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
         shared = estimates["neighborhood"][0] if "neighborhood" in estimates else 0.0
@@ -361,7 +378,14 @@ class Trainer:
         if self.method.meta:
             data |= {f"advantage_{name}": estimate for name, (estimate, _) in estimates.items()}
             data["lcf"] = lcf
-        data = jax.tree.map(lambda a: a.reshape(self.samples, *a.shape[3:]), data)
+        return jax.tree.map(lambda a: a.reshape(self.samples, *a.shape[3:]), data)
+
+    def _iterate(self, state: TrainState):
+        """A rollout and an update: the next TrainState, and what to log (scalars)."""
+        config = self.config
+        key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
+        walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
+        data = self._experience(state, walk, steps, last)
         parameters, optimizer = learning.update(
             state.parameters, self.optimizer, state.optimizer, data, key_update, config.ppo
         )
@@ -393,7 +417,7 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
-    the first seed's. With MJX and several devices, they share the work.
+    the first seed's. Several devices share the work, with an engine that can (MJX).
 
     tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
     resume: goes on from the checkpoint, if there is one, exactly where it stopped, and one seed after the other where
@@ -468,9 +492,10 @@ def is_done(config, folder):
 def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
     """`train`, of `configs` in the folders `paths`, locked. held: an ExitStack that closes Boards, or None."""
     config, seeds = configs[0], len(configs)
+    kind, _ = engine_kind(config.engine)
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
     saved = read_checkpoint(folders[0], _Noted)
-    several = config.engine == "mjx" and jax.device_count() > 1
+    several = kind.shards and jax.device_count() > 1
     trainer = Trainer(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
     if saved:
@@ -494,6 +519,7 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
             try:
                 following, logs = trainer.iterate_seeds(states)
                 logs = jax.device_get(logs)
+                trainer.engine.check()
             except KeyboardInterrupt:
                 if done > begun:
                     save()

@@ -7,9 +7,22 @@ Names and files are checked without JAX, which the models are made of and which 
 """
 
 import importlib
+import inspect
+from collections.abc import Callable
+from typing import Any, Protocol
 
+from macid.files import UsageError
 from macid.policy import load_policy, policy_names
+from macid.registry import Kind
 from macid.state import RADIUS
+
+
+class Controller(Protocol):
+    """What moves a crowd. It is traced by jax.jit, so it is made of JAX's functions, and may be vectorised."""
+
+    def __call__(self, state: Any, boxes: Any, goals: Any, lcf: Any, /) -> Any:
+        """The command (..., K, 3) in the world frame: velocity [m/s], and yaw rate [rad/s]. See the module."""
+        ...
 
 
 def _rule(name, **options):
@@ -31,33 +44,66 @@ MODELS = {
 }
 
 
+def _learned(name):
+    """Makes the learned model `name`, which is shipped or a file (.npz)."""
+    policy = load_policy(name)
+
+    def make(period):
+        from macid.pedestrians.learned import Learned
+
+        return Learned(policy, period)
+
+    return make
+
+
+def _own(found, name):
+    """Makes somebody's own model: a class or function that is called with `period=`, or a controller itself."""
+    if not callable(found):
+        raise UsageError(f"Pedestrian model '{name}' is not callable. {PEDESTRIANS.help}")
+    try:
+        takes_period = "period" in inspect.signature(found).parameters
+    except ValueError:  # of compiled code
+        takes_period = False
+
+    def make(period):
+        with PEDESTRIANS.running(name, "making one"):
+            return found(period=period) if takes_period else found() if inspect.isclass(found) else found
+
+    return make
+
+
+#: Pedestrian models: each is called with the `period` [s] of its decisions and gives a Controller.
+PEDESTRIANS: Kind[Callable[[float], Controller]] = Kind(
+    "pedestrian model",
+    MODELS,
+    shipped=lambda: sorted({*policy_names(), *(name.rpartition("-")[0] for name in policy_names())}),
+    listed=lambda: model_names(),
+    read=_learned,
+    files=(".npz",),
+    own="class",
+    check=_own,
+)
+
+
 def model_names() -> list[str]:
     """The names that `make_controller` takes: rules, and the methods that shipped policies were trained by; sorted.
 
-    A method's name stands for its first seed; `name-SEED` is another of its policies.
+    A method's name stands for its policy of the first seed; `name-SEED` is the policy of another seed.
     """
     return sorted([*MODELS, *{name.rpartition("-")[0] for name in policy_names()}])
 
 
-def _policy(name):
-    """The Policy that moves the model `name`, None for a rule. Raises ValueError for an unknown name."""
-    if name in MODELS:
-        return None
-    if name.endswith(".npz") or name in policy_names() or name in model_names():
-        return load_policy(name)
-    raise ValueError(f"Unknown pedestrian model '{name}'. Choose one of {', '.join(model_names())}, or a .npz file.")
+def is_learned(name: str) -> bool:
+    """Whether the pedestrian model `name` is a policy, which heeds LCFs, not a rule."""
+    return name not in MODELS and (name.endswith(".npz") or name in PEDESTRIANS.shipped())
 
 
 def check_model(name: str) -> None:
-    """Raises ValueError unless `make_controller` can make the pedestrian model `name`."""
-    _policy(name)
+    """Raises UsageError unless `make_controller` can make the pedestrian model `name`."""
+    PEDESTRIANS.load(name)
 
 
-def make_controller(name: str, period: float):
-    """The pedestrian model `name`, deciding every `period` [s]: a rule, a shipped policy ("macid", "macid-2"), or a
-    policy file (.npz). Raises ValueError for an unknown name."""
-    if (policy := _policy(name)) is None:
-        return MODELS[name](period=period)
-    from macid.pedestrians.learned import Learned
-
-    return Learned(policy, period)
+def make_controller(name: str, period: float) -> Controller:
+    """The pedestrian model `name`, deciding every `period` [s]: a rule, a shipped policy ("macid", "macid-2"), a policy
+    file (.npz), or one's own, `module:class` or `file.py:class`. Raises UsageError for an unknown name."""
+    return PEDESTRIANS.load(name)(period)

@@ -112,7 +112,7 @@ def least_violation(normal, offset, hard, target, top_speed):
 
 
 def best_velocity(normal, offset, hard, target, top_speed):
-    """Linear program 2, and linear program 3 for whom it has no answer: velocity (Q, 2) [m/s].
+    """Linear program 2, and linear program 3 for people for whom it has no answer: velocity (Q, 2) [m/s].
 
     normal (Q, N, 2), offset (Q, N), of which the first `hard` come from obstacles; target (Q, 2). Program 3 costs ten
     times as much, so it runs for CHUNK people at a time, as often as needed, and not at all where everybody has room.
@@ -142,7 +142,7 @@ def best_velocity(normal, offset, hard, target, top_speed):
 class ORCA:
     """Half the avoidance of every neighbour, all of the avoidance of obstacles, else straight to the goal.
 
-    People: the paper's half-plane through v + u/2, with `1/period` in place of the horizon for those who overlap.
+    People: the paper's half-plane through v + u/2, with `1/period` in place of the horizon for people who overlap.
     Obstacles: v must leave the velocity obstacle of a disc against a box, which is convex, by the half-plane that
     touches it closest to the present v; full responsibility, and standing is always permitted. All decide at once,
     from the state alone.
@@ -152,19 +152,19 @@ class ORCA:
     horizon is short, as walls don't turn towards anybody and a body stops within
     centimetres; it makes the approach speed to a wall (gap / horizon), and goals may lie close to walls.
 
-    Three or more who meet from all sides lock all the same: each permits the others only to stand. So whom other people
-    let get on towards its goal at less than `blocked` of its preferred speed, though boxes would let it, asks for a
-    velocity turned to the right by the first of `detours` instead, and who would hardly move by that either, by the next.
-    People who lock walk around each other, as on a roundabout, until their goals lie ahead; nobody else's step changes,
-    and who faces a wall stands, as before. (RVO2's examples turn everybody's preferred velocity by a tiny random angle,
-    which doesn't undo a lock.)
+    Three or more who meet from all sides lock all the same: each permits the others only to stand. So a person is
+    blocked where other people, not boxes, let it get on towards its goal at less than `blocked` of its preferred speed.
+    A blocked person asks for a velocity turned to the right by the first of `detours` instead, and, if that hardly
+    moves it either, by the next. People who lock walk around each other, as on a roundabout, until their goals lie
+    ahead; nobody else's step changes, and a person who faces a wall stands, as before. (RVO2's examples turn
+    everybody's preferred velocity by a tiny random angle, which doesn't undo a lock.)
     """
 
     period: float = 0.02  #: between two decisions [s]
     preferred_speed: float = 1.34  #: as social force's [m/s]
     max_speed: float = MAX_SPEED  #: [m/s]
     radius: float = RADIUS  #: of everybody [m]
-    margin: float = 0.02  #: added to the radius, against a body's lag behind its command [m]
+    margin: float = 0.02  #: added to the radius, since a body lags behind its command [m]
     neighbor_distance: float = 10.0  #: [m]
     max_neighbors: int = 10
     horizon: float = 5.0  #: for people [s]

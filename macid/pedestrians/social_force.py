@@ -50,7 +50,7 @@ def ellipse(r, step):
         (2b)^2 = 2 (|r||q| + r.q),   grad b = (|r| + |q|) / (2 sqrt(|r||q|)) * (the bisector of r and q).
 
     Between the foci b is 0 and has a crease; there the bisector points to the left of the step, which is to the right
-    for whoever walks towards it. This decides exact head-on encounters.
+    of a person who walks towards it. This decides exact head-on encounters.
     """
     q = r - step
     r_length, q_length = jnp.maximum(norm(r), TINY), jnp.maximum(norm(q), TINY)
@@ -71,25 +71,26 @@ class SocialForce:
     """acceleration = (v0 e - v) / tau - sum_b w grad_r V(b) - sum_B grad U(d), with e the direction to the goal.
 
     V(b) = V0 exp(-b / sigma) of `ellipse`, U(d) = U0 exp(-d / R), and w = 1 for what pushes from within the field of
-    view around e, 0.5 else: eqs. 1 to 9 with the published constants.
+    view around e, 0.5 elsewhere: eqs. 1 to 9 with the published constants.
 
     As published, people are points: r leads from centre to centre, d from a centre to an obstacle's surface. Bodies of
     0.35 m that are driven so push each other; with `body_radius` = 0.35 m, r counts from surface to surface, as in many
     simulators, and they hardly touch.
 
-    Another person's next step is |v_b| dt long, with |v_b| its speed, and lies in the direction e_b in which it wants to
-    go, as published. A robot among the people whose goal nobody is to know gets `position + velocity` for a goal.
+    Another person's next step is |v_b| dt long, with |v_b| its speed, and lies in the direction e_b in which it wants
+    to go, as published. A robot among the people whose goal nobody is to know gets `position + velocity` for a goal.
 
-    With `step_by_progress` the step's length is max(0, v_b . e_b) dt instead, the same for whoever gets where it wants:
-    with |v_b|, two who meet in close quarters can lock and drift off together, each taking the drift for the other's
-    step. On the maps for validation (v1 to v4) that, and no more, raises arrivals from 62, 70, 45, 29% to 71, 77, 61,
-    40%, and lowers CP from 145, 148, 331, 429 to 87, 102, 233, 338. The model `social-force` is as published,
-    `social-force-progress` has the other step, and so has `social-force-bodies`, where it counts for more: arrivals
-    there are 69, 69, 52, 34%, with the published step 54, 49, 29, 15%, and CP 0.0 to 0.3 instead of 0.2 to 9.6.
+    With `step_by_progress` the step's length is max(0, v_b . e_b) dt instead, the same for a person who gets where it
+    wants: with |v_b|, two people who meet in close quarters can lock and drift off together, each taking the drift for
+    the other's step. On the maps for validation (v1 to v4) that, and no more, raises arrivals from 62, 70, 45, 29% to
+    71, 77, 61, 40%, and lowers CP from 145, 148, 331, 429 to 87, 102, 233, 338. The model `social-force` is as
+    published, `social-force-progress` has the other step, and so has `social-force-bodies`, where it counts for more:
+    arrivals there are 69, 69, 52, 34%, with the published step 54, 49, 29, 15%, and CP 0.0 to 0.3 instead of 0.2 to
+    9.6.
 
-    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; speed is capped at
-    1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by `veer`
-    to the right, as exact head-on encounters end in a standstill without.
+    Where this differs from the paper: everybody has the mean desired speed instead of a Gaussian one; speed is capped
+    at 1.3 v0 (1.74 m/s) or MAX_SPEED, whichever is less; no attraction; and in place of fluctuations e is turned by
+    `veer` to the right, as exact head-on encounters end in a standstill without.
     """
 
     period: float = 0.02  #: between two decisions [s]

@@ -1,4 +1,4 @@
-"""OMPL's RRT and RRT* on the grids of bson.planners, as an oracle for the trees: `python ompl_paths.py MAP...` prints the costs.
+"""OMPL's RRT and RRT* on the grids of bson.planners, an oracle for the trees: `ompl_paths.py MAP...` prints the costs.
 
 A program of its own: OMPL's random numbers belong to the process, and its bindings tell at the end what they leaked.
 """

@@ -99,6 +99,21 @@ def test_results_are_compared_and_ranked_by_calls(evaluated, tmp_path):
     assert benchmark.leaderboard([other, found]).splitlines()[2].startswith("| 1 | `goal`")
 
 
+def test_a_suite_of_cells_is_mapped(tmp_path):
+    changes = {"horizon": 3, "pedestrian_model": "orca"}
+    found = benchmark.evaluate("goal", "scenarios", episodes=1, overrides=changes, quiet=True)
+    page = benchmark.heatmap(found, "Coll", tmp_path / "map.html")
+    assert (tmp_path / "map.html").read_text() == page
+    assert all(cell in page for cell in found.cells)
+    means = [found.metrics["SNS"][found.cell == cell].mean() for cell in found.cells]
+    assert found.cell_means("SNS").tolist() == pytest.approx(means)
+    with pytest.raises(UsageError, match="Unknown metric 'sns'. Choose one of SNS"):
+        benchmark.heatmap(found, "sns")
+    one = Results(found.content | {"cells": found.content["cells"][:1]})
+    with pytest.raises(UsageError, match="one cell only"):
+        benchmark.heatmap(one)
+
+
 LIGHT = """
 import sys
 from bson import benchmark

@@ -53,7 +53,7 @@ BSON = {
     "evaluate": {
         "--agent": ["stop", "goal", "good.py"], "--track": ["local", "global"], "--sensor": ["lidar2d"],
         "--suite": ["smoke"], "--episodes": ["1"], "--seed": ["0", "3"], "--videos": ["0"], "--out": ["out", "new/out"],
-        "--resume": None,
+        "--resume": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"],
     },
     "render": {"--agent": ["stop"], "--seed": ["0"], "--step": ["0", "-1"], "--out": ["a.png", "b.gif"]},
     "export": {"--track": ["global"], "--sensor": ["camera"], "--seed": ["0"], "--suite": ["smoke"], "--cell": ["all"],
@@ -61,7 +61,7 @@ BSON = {
     "compare": {"--out": ["out"]},
     "leaderboard": {"--readme": ["page.md"]},
     "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"], "--out": ["runs"],
-              "--resume": None},
+              "--resume": None, "--tensorboard": None},
     "bench": {"--pedestrians": ["2"], "--worlds": ["1"], "--sensors": ["none"], "--seconds": ["0.1"],
               "--pedestrian-model": ["orca"], "--out": ["b.json"], "--train": ["ppo"]},
     "list": {}, "demo": {"--episodes": ["0"]}, "nothing": {},
@@ -77,7 +77,7 @@ MACID = {
                "--out": ["out", "new/out"]},
     "train": {"--method": ["macid", "ipo"], "--engine": ["native"], "--level": ["1"], "--seed": ["0"], "--seeds": ["2"],
               "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"], "--out": ["runs"],
-              "--resume": None},
+              "--resume": None, "--tensorboard": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"]},
     "bench": {"--levels": ["1"], "--worlds": ["1"], "--seconds": ["0.1"], "--out": ["b.json"], "--preset": ["fast"]},
     "nothing": {},
 }  # fmt: skip
@@ -127,7 +127,7 @@ def place(tmp_path_factory):
         def level(pedestrian, level, episodes, seed, config, engine):
             return {**row, "pedestrian": pedestrian, "level": level, "config": {"lcf": config.lcf}}
 
-        def train(config, out, seeds, resume, show):
+        def train(config, out, seeds, resume, show, tensorboard):
             for seed in range(config.seed, config.seed + seeds):
                 training_folder(pathlib.Path(out) / f"{config.name}-{seed}", config, resume)
 
@@ -139,7 +139,7 @@ def place(tmp_path_factory):
         with contextlib.suppress(ImportError):
             import bson.learning.train as learning
 
-            def train_robot(config, out, resume):
+            def train_robot(config, out, resume, tensorboard):
                 return training_folder(pathlib.Path(out) / f"{config.name}-{config.seed}", config, resume)
 
             patch.setattr(learning, "train_with_bar", train_robot)

@@ -1,4 +1,4 @@
-"""README's table of what the paper gives and what is done here instead: its figures are those of the code."""
+"""The pages' tables of what the paper gives and what is done here instead: their figures are those of the code."""
 
 import pathlib
 import re
@@ -10,12 +10,13 @@ from macid.layout import load_level
 from macid.learning.train import preset
 from macid.pedestrians.orca import ORCA
 
-README = (pathlib.Path(__file__).parents[2] / "README.md").read_text()
+ROOT = pathlib.Path(__file__).parents[2]
 
 
-def rows():
-    """{(whom, what): (the paper's cell, ours)}."""
-    text, found, whom = README.split("### What the paper gives")[1].split("\n## ")[0], {}, None
+def rows(package):
+    """{(whom, what): (the paper's cell, ours)} of a package's page."""
+    page = (ROOT / package / "README.md").read_text()
+    text, found, whom = page.split("### What the paper gives")[1].split("\n## ")[0], {}, None
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("| of "):
@@ -30,7 +31,7 @@ def numbers(cell):
 
 
 def test_pedestrians():
-    table, paper, fast = rows(), preset("paper"), preset("fast")
+    table, paper, fast = rows("macid"), preset("paper"), preset("fast")
 
     def row(what):
         return tuple(numbers(cell) for cell in table["of pedestrians", what])
@@ -58,7 +59,7 @@ def test_robots():
     pytest.importorskip("stable_baselines3")
     from bson.learning.train import PRESETS
 
-    table, paper, fast = rows(), PRESETS["paper"], PRESETS["fast"]
+    table, paper, fast = rows("bson"), PRESETS["paper"], PRESETS["fast"]
 
     def row(what):
         return tuple(numbers(cell) for cell in table["of robots", what])

@@ -66,7 +66,7 @@ COMMANDS = {
         ["--train", "ppo", "--sensors", "lidar2d"],
     ]),
     "train": (["bson", "train", "--steps", "64"], "--out", "runs", [
-        *TASK, ["--algo", "dqn"], ["--steps", "0"], ["--worlds", "0"], ["--seed", "-1"],
+        *TASK, ["--algo", "dqn"], ["--algo", "bc", "--set", "robot=diffbot"], ["--steps", "0"], ["--worlds", "0"], ["--seed", "-1"],
     ]),
     "macid evaluate": (["macid", "evaluate", "--pedestrian", "orca", "--levels", "1"], "--out", "rows.json", [
         *LEVEL, *CROWD, ["--episodes", "0"], ["--bins", "--lcf", "0", "1"], ["--engine", "warp"],

@@ -56,7 +56,7 @@ def test_observations_lie_in_their_space(track, sensor):
 
 
 def test_unknown_names_are_told():
-    with pytest.raises(ValueError, match="Unknown track 'locl'. Choose 'global' or 'local'"):
+    with pytest.raises(ValueError, match="Unknown track 'locl'. Choose one of local, global, a 'module:class'"):
         make_track("locl", "lidar2d")
     with pytest.raises(ValueError, match="Unknown sensor 'sonar'"):
         make_track("local", "sonar")

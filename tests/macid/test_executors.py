@@ -5,9 +5,11 @@ import dataclasses
 import json
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import pytest
@@ -111,16 +113,17 @@ def test_seeds_side_by_side_are_the_seeds_alone_and_go_on_wherever_they_began(tm
 @pytest.mark.slow
 def test_ctrl_c_ends_the_command_and_its_cluster(tmp_path):
     pytest.importorskip("ray")
+    temporary = pathlib.Path(tempfile.mkdtemp(dir="/tmp"))  # a short path, for sockets
     words = ["train", "--executor", "ray", "--workers", "1", "--worlds", "1", "--out", str(tmp_path / "runs")]
     process = subprocess.Popen(
         [sys.executable, "-m", "macid.cli", *words],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
+        env={**os.environ, "TMPDIR": str(temporary)},
     )
     ours = tmp_path / "runs" / "macid-0"
-    while not list(tmp_path.glob("macid-ray-*/session_latest")) or not ours.exists():
+    while not list(temporary.glob("macid-ray-*/session_latest")) or not ours.exists():
         assert process.poll() is None
         time.sleep(0.2)
     time.sleep(5)
@@ -128,6 +131,7 @@ def test_ctrl_c_ends_the_command_and_its_cluster(tmp_path):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130
     assert error.splitlines()[-1] == "macid: interrupted"
-    assert not list(tmp_path.glob("macid-ray-*"))
+    assert not list(temporary.glob("macid-ray-*"))
+    shutil.rmtree(temporary)
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)

@@ -1,4 +1,4 @@
-"""tools/reproduce_tables.py, on rows that are made up, and the README's figures against what is shipped."""
+"""tools/reproduce_tables.py, on rows that are made up, and the figures of macid's page against what is shipped."""
 
 import importlib.util
 import json
@@ -114,8 +114,8 @@ def test_wrong_requests_are_told(made_up, monkeypatch, capsys):
     assert run(monkeypatch, empty, "--no-train") == 2 and "No policies" in capsys.readouterr().err
 
 
-def test_the_readmes_table_is_of_the_shipped_policies():
-    lines = (ROOT / "README.md").read_text().splitlines()
+def test_the_pages_table_is_of_the_shipped_policies():
+    lines = (ROOT / "macid" / "README.md").read_text().splitlines()
     for method in METHODS:
         names = [name for name in policy_names() if name.rpartition("-")[0] == method]
         scores = [load_policy(name).recipe["scores"] for name in names]

@@ -1,0 +1,177 @@
+"""How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, episodes that follow each
+other."""
+
+import dataclasses
+import gc
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+SENSORS = ("none", "lidar2d", "lidar3d", "camera")
+PEOPLE, WORLDS = (24,), (1024, 4096)
+_ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
+_CHUNK = 10  # control steps that the host asks for at once
+_LONGEST = 600.0  # that a case of its own process may take [s]
+
+
+def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0, engine=None, workers=None, **config):
+    """A row of the table, as a dict: control steps/s of all worlds together, in this process.
+
+    Counted are physics, pedestrians, sensors, observation and reward, and the episodes that begin.
+    engine: WarpConfig, or a dict of its fields.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from bson.interfaces.device import DeviceWorlds
+    from bson.interfaces.functional import BsonFuncEnv
+    from bson.simulation.engines.warp import WarpConfig
+    from bson.tracks import SENSORS as SETS
+
+    engine = WarpConfig(**(engine or {})) if isinstance(engine, dict | None) else engine
+    begin = time.perf_counter()
+    sensors = SETS.get(sensor, ())
+    env = BsonFuncEnv(
+        "local", sensors, worlds, seed=0, engine=engine, num_pedestrians=people, pedestrian_model=model, **config
+    )
+    fleet = DeviceWorlds(env, workers=workers, ahead=_CHUNK)
+    actions = jnp.tile(jnp.asarray(_ACTION, jnp.float32), (worlds, 1))
+
+    def chunk(carry, episodes):
+        def one(carry, _):
+            carry, outcome = fleet.step(carry, actions, episodes)
+            seen = sum(jnp.sum(jnp.asarray(value, jnp.float32)) for value in outcome.observation.values())
+            return carry, (seen, outcome.reward.sum())  # so that nothing of a step is left out
+
+        return jax.lax.scan(one, carry, None, length=_CHUNK)
+
+    run = jax.jit(chunk, donate_argnums=0)
+    carry, _ = fleet.begin()
+    drawn = time.perf_counter()
+    for _ in range(2):
+        carry, _ = jax.block_until_ready(run(carry, fleet.ready(_CHUNK)))
+        fleet.done(carry)
+    compiled = time.perf_counter()
+    steps, fleet.pool.waited = 0, 0.0
+    start = time.perf_counter()
+    while (elapsed := time.perf_counter() - start) < seconds:
+        carry, _ = jax.block_until_ready(run(carry, fleet.ready(_CHUNK)))
+        fleet.done(carry)
+        steps += _CHUNK
+    memory = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0)
+    fleet.close()
+    return {
+        "device": device(),
+        "engine": "warp",
+        "people": people,
+        "worlds": worlds,
+        "sensor": sensor,
+        "model": model,
+        "limits": dataclasses.asdict(engine),
+        "steps_per_s": steps * worlds / elapsed,
+        "steps": steps,
+        "made_s": drawn - begin,
+        "compiled_s": compiled - drawn,
+        "waited_s": fleet.pool.waited,
+        "episodes": int(fleet.pool.begun),
+        "faults": int(np.asarray(carry.states.fault).sum()),
+        "jax_peak_gb": memory / 1e9,
+    }
+
+
+def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=None, workers=None, **hyperparameters):
+    """As `measure`: control steps/s with 720 beams while PPO learns from them."""
+    import jax
+
+    from bson.learning.device_ppo import DevicePpo, DevicePpoConfig, DeviceTrainConfig
+    from bson.simulation.engines.warp import WarpConfig
+
+    begin = time.perf_counter()
+    task = {"num_pedestrians": people, "pedestrian_model": model}
+    config = DeviceTrainConfig(0, 10**9, task, worlds, hyperparameters=DevicePpoConfig(**hyperparameters))
+    trainer = DevicePpo(config, workers, WarpConfig(**(engine or {})))
+    learner, stream = trainer.learner(), trainer.stream()
+    drawn = time.perf_counter()
+    *_, (learner, stream, _) = trainer.run(learner, stream, 2)
+    compiled = time.perf_counter()
+    updates, trainer.worlds.pool.waited = 0, 0.0
+    while (elapsed := time.perf_counter() - compiled) < seconds:
+        *_, (learner, stream, figures) = trainer.run(learner, stream, 4)
+        jax.block_until_ready(learner)
+        updates += 4
+    steps = updates * config.hyperparameters.rollout
+    trainer.close()
+    return {
+        "device": device(),
+        "engine": "warp",
+        "people": people,
+        "worlds": worlds,
+        "sensor": "ppo",
+        "model": model,
+        "steps_per_s": steps * worlds / elapsed,
+        "steps": steps,
+        "made_s": drawn - begin,
+        "compiled_s": compiled - drawn,
+        "waited_s": trainer.worlds.pool.waited,
+        "episodes": trainer.worlds.pool.begun,
+        "figures": figures,
+    }
+
+
+def device():
+    """The device that the worlds are on, in words."""
+    import jax
+
+    first = jax.devices()[0]
+    return f"{len(jax.devices())} x {first.device_kind} ({first.platform})"
+
+
+def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, model="macid", train=False, show=print):
+    """Prints the table, a line a case as it is measured; returns its rows as dicts.
+
+    train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled.
+    Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
+    """
+    for sensor in sensors:
+        if sensor not in SENSORS:
+            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    cases = [
+        {"people": number, "worlds": many, "seconds": seconds, "model": model, **({} if train else {"sensor": sensor})}
+        for number in people
+        for many in worlds
+        for sensor in sensors
+    ]
+    rows = []
+    for case in cases:
+        row = (measure_training if train else measure)(**case) if len(cases) == 1 else _apart(case, train)
+        if not rows:
+            show(f"{row['device']}; pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")
+            show(f"{'people':>7}{'worlds':>8}{'sensor':>10}{'control steps/s':>17}")
+        show(f"{row['people']:>7}{row['worlds']:>8}{row['sensor']:>10}{row['steps_per_s']:>17,.0f}")
+        rows.append(row)
+    return rows
+
+
+def _apart(case, train=False):
+    """`measure`, or `measure_training`, in a process of its own."""
+    command = [sys.executable, "-m", "bson.bench_warp", "{}", json.dumps({**case, "train": train})]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=_LONGEST + case["seconds"], check=False)
+    if done.returncode:
+        raise RuntimeError(f"The bench of {case} ended with {done.returncode}.")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _main(engine, *cases):
+    """WarpConfig's fields, and cases, of JSON; prints the row of each as one line of JSON."""
+    for case in map(json.loads, cases):
+        case["engine"] = {**json.loads(engine), **case.get("engine", {})}
+        measured = measure_training if case.pop("train", False) else measure
+        print(json.dumps(measured(**case)), flush=True)
+        gc.collect()
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

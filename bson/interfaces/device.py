@@ -1,0 +1,126 @@
+"""Many worlds of `bson.interfaces.functional` at once, that begin the next episode by themselves: what the vector
+environment, training and the bench stand on. No step waits for the host."""
+
+import os
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from bson.simulation.pool import Pool
+from macid.state import GOAL_RADIUS
+
+_FASTER = 2.0  # than its motors make it, a robot that is pushed gets at most
+
+
+class Carry(NamedTuple):
+    """Where all worlds stand; leading axes (num_envs,)."""
+
+    states: Any  #: State
+    over: Any  #: bool: the episode has ended, and the next step begins another one
+    slot: Any  #: () int32: of the pool's next episode
+    begun: Any  #: () int32: episodes that have begun
+    lost: Any  #: () int32: every `overflow` of the engine so far, or-ed
+
+
+class Outcome(NamedTuple):
+    """What a step brought; leading axes (num_envs,). Where an episode began in it, reward and ends are 0."""
+
+    observation: dict
+    reward: Any
+    terminated: Any
+    truncated: Any
+    began: Any  #: bool: the action did not matter, as an episode began
+
+
+class DeviceWorlds:
+    """`env.num_envs` worlds of the BsonFuncEnv `env`, with a pool of episodes from `seed` on.
+
+    `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to
+    `steps` of them, call `ready(steps)`, which gives the `episodes`, and after them `done(carry)`.
+    ahead: the most steps that are asked for at once. pool: how many episodes are kept ready; None: enough for that.
+    workers: processes that draw episodes; None: as many as there are cores to spare, for many worlds.
+    """
+
+    def __init__(self, env, seed=0, pool=None, workers=None, ahead=2):
+        self.env, self.num_envs = env, env.num_envs
+        if workers is None:
+            workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
+        self._counted, config = 0, env.config
+        reach = _FASTER * config.robot.max_speed * config.control_period
+        self._least = max(1, min(config.horizon, int((config.goal_distance[0] - GOAL_RADIUS) / reach)))
+        size = max(128, env.num_envs + self.most_begun(ahead) + 128) if pool is None else pool
+        self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
+        self._begin = jax.jit(self._first)
+
+    def restart(self, seed):
+        """Has the pool's episodes begin at `seed`; `begin` is to follow."""
+        pool = self.pool
+        pool.close()
+        self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers)
+
+    def most_begun(self, steps):
+        """How many episodes may begin in `steps` steps at most."""
+        return self.num_envs * (1 + steps // (self._least + 1))
+
+    def _first(self, slot, episodes):
+        slots = (slot + jnp.arange(self.num_envs)) % self.pool.size
+        states = jax.vmap(self.env.initial, in_axes=(0, None))(slots, episodes)
+        none = jnp.zeros((), jnp.int32)
+        slot = (slot + self.num_envs) % self.pool.size
+        carry = Carry(states, jnp.zeros(self.num_envs, bool), jnp.asarray(slot, jnp.int32), none, none)
+        return carry, jax.vmap(self.env.observation)(states)
+
+    def begin(self):
+        """A Carry with the next episodes of the pool in all worlds, and its observations."""
+        self.pool.ensure(self.num_envs)
+        slot = self.pool.begun % self.pool.size
+        carry, observation = self._begin(jnp.int32(slot), self.pool.episodes)
+        self.pool.used(self.num_envs)
+        self._counted = 0
+        return carry, observation
+
+    def ready(self, steps=1):
+        """The pool's episodes, once there are enough for `steps` steps. Raises NoFreeSpace."""
+        self.pool.ensure(self.most_begun(steps))
+        return self.pool.episodes
+
+    def done(self, carry):
+        """Counts the episodes that have begun until `carry`. Raises RuntimeError where physics ran out of room."""
+        self.count(self.tally(carry))
+
+    @staticmethod
+    def tally(carry):
+        """What `count` takes: an array of its own, that outlives a `carry` which is given away."""
+        return jnp.stack([carry.begun, carry.lost])
+
+    def count(self, tally):
+        """`done`, of what `tally` gave."""
+        begun, lost = map(int, jax.device_get(tally))
+        self.pool.used((begun - self._counted) % 2**32)
+        self._counted = begun
+        if lost:
+            raise RuntimeError(self.env.world.engine.explain(lost))
+
+    def step(self, carry, actions, episodes):
+        """See the class. actions: (num_envs, 2)."""
+        env, states, over = self.env, carry.states, carry.over
+        number = over.sum(dtype=jnp.int32)
+        slots = (carry.slot + jnp.cumsum(over, dtype=jnp.int32) - 1) % self.pool.size
+        after = jax.vmap(env.follow, in_axes=(0, 0, 0, 0, None))(states, actions, over, slots, episodes)
+        reward = jnp.where(over, 0.0, jax.vmap(env.reward)(states, actions, after))
+        terminated = jax.vmap(env.terminal)(after) & ~over
+        truncated = jax.vmap(env.truncation)(after) & ~over
+        lost = jax.lax.reduce(after.overflow, jnp.int32(0), jax.lax.bitwise_or, (0,))
+        carry = Carry(
+            after,
+            terminated | truncated,
+            (carry.slot + number) % self.pool.size,
+            carry.begun + number,
+            carry.lost | lost,
+        )
+        return carry, Outcome(jax.vmap(env.observation)(after), reward, terminated, truncated, over)
+
+    def close(self):
+        """Ends the drawing of episodes."""
+        self.pool.close()

@@ -1,0 +1,140 @@
+"""The benchmark as Gymnasium's FuncEnv on JAX: pure functions of one world's state, for jax.jit and jax.vmap.
+
+    env = BsonFuncEnv("local", "lidar2d", num_envs=4096)
+    state = jax.vmap(env.initial, in_axes=(0, None))(jnp.arange(4096), env.default_params)
+    state = jax.jit(jax.vmap(env.transition))(state, actions)
+
+All of a control step happens on the device: what pedestrians decide, physics (MJX-Warp), collisions, sensors. The rules
+are those of `bson.env.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with the native
+engine's to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians' later goals
+too: see `bson.simulation.pool`.
+"""
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.experimental.functional import FuncEnv
+
+from bson.simulation.batched import COLLISIONS, BatchedWorld
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.engines.warp import WarpConfig
+from bson.simulation.pool import Drawn, draw_all
+from bson.task import TaskConfig
+from bson.tracks import GlobalTrack, make_track, velocity_limit
+from macid import geometry
+from macid.reward import individual_reward
+
+ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+class BsonFuncEnv(FuncEnv):
+    """See the module. `params` is a pool of episodes (bson.simulation.pool.Drawn, with a leading axis).
+
+    num_envs: how many worlds are to be stepped together under jax.vmap: physics has room for the contacts of so many.
+    pool: how many episodes `default_params` has, with the seeds `seed`, `seed + 1`, ...; drawn when first asked for.
+    engine: WarpConfig, its limits. task: a TaskConfig (default: the paper's); config: fields of it that differ.
+    """
+
+    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=None, task=None,
+    **config):
+        self.config = (task or TaskConfig()).replace(**config)
+        self.track = make_track(track, sensor)
+        self.num_envs, self._pool_size, self._seed = num_envs, num_envs if pool is None else pool, seed
+        self.world = BatchedWorld(self.config, self.track.sensors, num_envs, engine or WarpConfig())
+        self.observation_space, self.action_space = self.track.space(self.config), ACTION_SPACE
+        self._params = None
+
+    def get_default_params(self, **kwargs):
+        """The pool of episodes that this environment was made with: drawn by the first call."""
+        if self._params is None:
+            seeds = range(self._seed, self._seed + self._pool_size)
+            self._params = jax.tree.map(jnp.asarray, Drawn(*draw_all(self.config, seeds, self.has_map)))
+        return self._params
+
+    @property
+    def has_map(self):
+        """Whether observations have the map, so that the pool's episodes need it."""
+        return isinstance(self.track, GlobalTrack)
+
+    default_params = property(get_default_params)
+
+    def fresh(self, rng, params=None):
+        """`initial`, but not yet sensed."""
+        params = self.default_params if params is None else params
+        size = params.goal.shape[0]
+        rng = jnp.asarray(rng)
+        if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) or rng.ndim:
+            rng = jax.random.randint(rng, (), 0, size)
+        return self.world.begin(jax.tree.map(lambda x: x[rng % size], params))
+
+    def initial(self, rng, params=None):
+        """The state with which an episode of the pool begins: number `rng` of it; or one that the key `rng` draws."""
+        return self.world.sense(self.fresh(rng, params))
+
+    def transition(self, state, action, rng=None, params=None):
+        """The state after a control step under `action` (2,)."""
+        return self.world.sense(self.world.advance(state, action))
+
+    def follow(self, state, action, over, slot, params):
+        """`transition`; where `over` () holds, the episode `slot` of the pool begins instead."""
+        moved, fresh = self.world.advance(state, action), self.fresh(slot, params)
+        return self.world.sense(jax.tree.map(lambda x, y: jnp.where(over, x, y), fresh, moved))
+
+    def observation(self, state, rng=None, params=None):
+        """The observation in `state`: a dict, as the observation space has it."""
+        config, pose = self.config, state.pose
+        limit = velocity_limit(config.robot)
+        seen = {
+            "goal": geometry.to_body(state.drawn.goal - pose[:2], pose[2]),
+            "velocity": jnp.clip(state.velocity, -limit, limit),
+            **state.readings,
+        }
+        if self.has_map:
+            half = config.map_size / 2
+            yaw = jnp.clip(geometry.wrap_angle(pose[2]), -np.float32(np.pi), np.float32(np.pi))
+            people = self.world._people(state.motion.qpos)
+            seen |= {
+                "map": state.drawn.map,
+                "map_origin": jnp.full(2, -half, jnp.float32),
+                "map_resolution": jnp.full(1, MAP_RESOLUTION, jnp.float32),
+                "pose": jnp.append(jnp.clip(pose[:2], -2 * half, 2 * half), yaw),
+                "people": jnp.clip(people, -2 * half, 2 * half),
+            }
+        return seen
+
+    def reward(self, state, action, next_state, rng=None, params=None):
+        """Eq. 5, of the control step from `state` to `next_state`: ()."""
+        collided = next_state.counts[0] > state.counts[0]
+        arrived = next_state.arrived & ~next_state.fault
+        closer = state.distance - next_state.distance
+        return individual_reward(closer, arrived, collided, self.config.reward).astype(jnp.float32)
+
+    def terminal(self, state, rng=None, params=None):
+        """Whether the robot is at its goal: ()."""
+        return state.arrived & ~state.fault
+
+    def truncation(self, state, rng=None, params=None):
+        """Whether the episode is cut off, at the horizon or where physics failed: ()."""
+        return (state.fault | (state.steps >= self.config.horizon)) & ~self.terminal(state)
+
+    def state_info(self, state, params=None):
+        """What the metrics need: a dict as in `bson.env.BsonEnv`, but `seed` (2,) is in halves of 32 bits, the lower
+        first, and `fault` is a bool."""
+        return {
+            "seed": state.drawn.seed,
+            "time": state.steps * jnp.float32(self.config.control_period),
+            "pose": state.pose,
+            "goal": state.drawn.goal,
+            "start_distance": state.drawn.start_distance,
+            "distance": state.distance,
+            "travelled": state.travelled,
+            **{name: state.counts[place] for place, name in enumerate(COLLISIONS)},
+            "nearest_person": state.nearest_person,
+            "arrived": state.arrived,
+            "fault": state.fault,
+        }
+
+    def transition_info(self, state, action, next_state, params=None):
+        """`state_info` after a control step."""
+        return self.state_info(next_state, params)

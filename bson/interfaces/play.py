@@ -1,0 +1,145 @@
+"""Whole episodes on a device, for scoring: agents that are JAX functions, all episodes at once, `bson.metrics.Episode`s
+out.
+
+An agent is an object with `track` and `sensor`, as for `bson.env.BsonEnv`, and two pure functions of observations with
+a leading axis: `begin(observation) -> memory` at the start, and `act(memory, observation) -> (actions (N, 2), memory)`,
+also at the start.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bson.agents import learned
+from bson.episodes.record import Episode, shortest_way
+from bson.features import SCANS, SECTORS, remember, vector
+from bson.interfaces.functional import BsonFuncEnv
+from bson.simulation.batched import COLLISIONS
+from bson.simulation.pool import Drawn, draw_all
+from bson.task import TaskConfig, spawn
+
+_CHUNK = 50  # control steps between two looks at whether all episodes are over
+
+
+class LearnedOnDevice:
+    """The agent `name` of bson.agents.learned, a shipped one or a .npz file, as JAX functions."""
+
+    track, sensor = learned.Learned.track, learned.Learned.sensor
+
+    def __init__(self, name):
+        agent = learned.load(name)()
+        self._top = agent.top
+        self._layers = [tuple(map(jnp.asarray, layer)) for layer in agent.layers]
+        self._output = {"clip": lambda x: jnp.clip(x, -1.0, 1.0), "tanh": jnp.tanh}[agent.output]
+
+    def begin(self, observation):
+        """See the module."""
+        number = observation["lidar"].shape[0]
+        scans = jnp.zeros((number, SCANS[-1] + 1, SECTORS), jnp.float32)
+        return remember(scans, observation["lidar"], jnp.ones(number, bool)), jnp.bool_(True)
+
+    def act(self, memory, observation):
+        """See the module."""
+        scans, first = memory
+        longer = remember(scans, observation["lidar"], jnp.zeros(scans.shape[0], bool))
+        scans = jnp.where(first, scans, longer)
+        x = vector(scans, observation, self._top)
+        with jax.default_matmul_precision("float32"):
+            for weight, bias in self._layers[:-1]:
+                x = jnp.maximum(x @ weight + bias, 0.0)
+            weight, bias = self._layers[-1]
+            return self._output(x @ weight + bias), (scans, jnp.bool_(False))
+
+
+def play(agent, config: TaskConfig, seeds, engine=None, progress=None):
+    """The Episodes `seeds` of `config` with `agent`, in that order. progress: called with the number of control steps
+    that were done, of all worlds. engine: WarpConfig.
+
+    Raises RuntimeError where physics runs out of room.
+    """
+    seeds = [int(seed) for seed in seeds]
+    track = {"track": agent.track, "sensor": agent.sensor}
+    env = BsonFuncEnv(**track, num_envs=len(seeds), engine=engine, task=config)
+    k = config.people
+    transition, observation = jax.vmap(env.transition), jax.vmap(env.observation)
+
+    def record(state):
+        qpos, qvel = state.motion.qpos, state.motion.qvel
+        return {
+            "pose": state.pose,
+            "velocity": state.velocity,
+            "qpos": qpos,
+            "people": qpos[:, : 3 * k].reshape(-1, k, 3),
+            "people_velocity": qvel[:, : 3 * k].reshape(-1, k, 3)[..., :2],
+            "nearest_person": state.nearest_person,
+            "counts": state.counts,
+            "travelled": state.travelled,
+            "distance": state.distance,
+            "steps": state.steps,
+            "arrived": jax.vmap(env.terminal)(state),
+            "over": jax.vmap(env.terminal)(state) | jax.vmap(env.truncation)(state),
+            "fault": state.fault,
+            "overflow": state.overflow,
+        }
+
+    @jax.jit
+    def begin(episodes):
+        state = jax.vmap(env.initial, in_axes=(0, None))(jnp.arange(len(seeds)), episodes)
+        return state, agent.begin(observation(state)), record(state)
+
+    @jax.jit
+    def chunk(state, memory):
+        def one(carry, _):
+            state, memory = carry
+            action, memory = agent.act(memory, observation(state))
+            state = transition(state, action)
+            return (state, memory), record(state)
+
+        return jax.lax.scan(one, (state, memory), None, length=_CHUNK)
+
+    episodes = jax.tree.map(jnp.asarray, Drawn(*draw_all(config, seeds, env.has_map)))
+    state, memory, first = begin(episodes)
+    parts = [{name: np.asarray(value)[None] for name, value in first.items()}]
+    over = parts[0]["over"][0]
+    while not over.all():
+        (state, memory), rows = chunk(state, memory)
+        parts.append(jax.device_get(rows))
+        over = over | parts[-1]["over"].any(axis=0)
+        if lost := int(np.bitwise_or.reduce(parts[-1]["overflow"], axis=None)):
+            raise RuntimeError(env.world.engine.explain(lost))
+        if progress:
+            progress(_CHUNK * len(seeds))
+    rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return [
+        _episode(config, seed, {name: value[:, row] for name, value in rows.items()}) for row, seed in enumerate(seeds)
+    ]
+
+
+def _episode(config, seed, rows):
+    """The Episode of the `rows` {name: (T, ...)} of one world, up to where it is over."""
+    last = int(np.argmax(rows["over"]))
+    end = {name: value[last] for name, value in rows.items()}
+    rows = {name: value[: last + 1] for name, value in rows.items()}
+    drawn = spawn(config, np.random.default_rng(seed))
+    start, goal = drawn.robot[:2], drawn.goal
+    recorded = ("pose", "velocity", "people", "people_velocity", "qpos", "nearest_person")
+    return Episode(
+        seed=seed,
+        start_distance=float(np.hypot(*(goal - start))),
+        shortest=shortest_way(drawn.layout, start, goal, config.robot.radius),
+        final_distance=float(end["distance"]),
+        travelled=float(end["travelled"]),
+        duration=float(np.round(end["steps"] * config.control_period, 9)),
+        arrived=bool(end["arrived"]),
+        timed_out=bool(end["steps"] >= config.horizon and not end["arrived"]),
+        **{name: int(end["counts"][place]) for place, name in enumerate(COLLISIONS)},
+        collisions_so_far=rows["counts"][:, 0].astype(np.int64),
+        goal=goal.copy(),
+        boxes=drawn.layout.boxes.copy(),
+        lcf=drawn.lcf.copy(),
+        period=config.control_period,
+        robot_radius=config.robot.radius,
+        people_goals=drawn.people_goals.copy(),
+        fault="physics failed" if end["fault"] else "",
+        **{name: rows[name].astype(float) for name in recorded},
+    )

@@ -1,0 +1,158 @@
+"""The worlds of `bson.interfaces.functional` as a Gymnasium vector environment: `gymnasium.make_vec(id, num_envs=4096,
+engine="warp")`."""
+
+from typing import ClassVar
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from bson.env import ACTION_SPACE, Specified, check_seed, frames_per_second
+from bson.interfaces.device import DeviceWorlds
+from bson.interfaces.functional import BsonFuncEnv
+from bson.simulation.engines.warp import WarpConfig
+from bson.simulation.world import check_worlds
+from macid.documents import shown
+
+OUTPUTS = ("numpy", "jax", "torch")
+_NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
+
+
+class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
+    """`num_envs` worlds of `bson.env.BsonEnv` on one device, with the spaces, infos and arguments of BsonVectorEnv.
+
+    Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which they begin, and none comes twice. A
+    world whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default mode).
+
+    output: what observations, rewards, ends and infos are: "numpy", or "jax" or "torch" arrays on the device, without a
+    copy. With these `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and `info["fault"]` a bool.
+    Actions may be any of the three. pool: episodes that are kept ready; workers: processes that draw them; None: as
+    many as are needed. limits: a dict of fields of bson.simulation.engines.warp.WarpConfig.
+    """
+
+    metadata: ClassVar = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
+
+    def __init__(
+        self,
+        num_envs=1,
+        track="local",
+        sensor="lidar2d",
+        render_mode=None,
+        seed=None,
+        autoreset_mode=AutoresetMode.NEXT_STEP,
+        output="numpy",
+        pool=None,
+        workers=None,
+        limits=None,
+        **config,
+    ):
+        if render_mode is not None:
+            raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
+        if AutoresetMode(autoreset_mode) is not AutoresetMode.NEXT_STEP:
+            raise ValueError(
+                f"The engine 'warp' has the autoreset_mode NextStep only, not {AutoresetMode(autoreset_mode).value}."
+            )
+        if output not in OUTPUTS:
+            raise ValueError(f"output must be one of {', '.join(OUTPUTS)}, not {shown(output)}.")
+        check_worlds("num_envs", num_envs)
+        self._first_seed = _one_seed(seed)
+        self._arguments = {"num_envs": num_envs, "track": track, "sensor": sensor, "seed": seed, "output": output}
+        self._arguments |= {"pool": pool, "workers": workers, "limits": limits, **config}
+        self.num_envs, self.render_mode, self._output = num_envs, None, output
+        engine = WarpConfig(**(limits or {}))
+        self._func = BsonFuncEnv(track, sensor, num_envs, engine=engine, **config)
+        self.config = self._func.config
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(self.config)}
+        self.single_observation_space, self.single_action_space = self._func.observation_space, ACTION_SPACE
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._pool = {"pool": pool, "workers": workers}
+        self._worlds = self._carry = self._step = self._tally = None
+
+    def reset(self, *, seed=None, options=None):
+        """Begins an episode in every world."""
+        if options:
+            raise ValueError(
+                f"The engine 'warp' takes no options of reset: give {shown(next(iter(options)))} to make_vec."
+            )
+        seed, self._first_seed = _one_seed(seed if seed is not None else self._first_seed), None
+        if self._worlds is None:
+            seed = int(np.random.default_rng().integers(*_NO_SEED)) if seed is None else seed
+            self._worlds = DeviceWorlds(self._func, seed, **self._pool)
+            self._step = jax.jit(self._stepped, donate_argnums=0)
+        elif seed is not None:
+            self._worlds.restart(seed)
+        elif self._tally is not None:
+            self._worlds.count(self._tally)
+        self._carry, observation = self._worlds.begin()
+        self._tally = None
+        return self._given((observation, self._infos(jax.vmap(self._func.state_info)(self._carry.states))))
+
+    def step(self, actions):
+        """One control step of every world; a world whose episode ended begins its next instead."""
+        if self._carry is None:
+            raise gymnasium.error.ResetNeeded("Call reset before step.")
+        episodes = self._worlds.ready(2)  # the last step may not be counted yet
+        self._carry, outcome, info, tally = self._step(self._carry, self._taken(actions), episodes)
+        if self._tally is not None:
+            self._worlds.count(self._tally)  # of the step before, so that nobody waits for this one
+        self._tally = tally
+        ends = outcome.reward, outcome.terminated, outcome.truncated
+        observation, (reward, terminated, truncated), info = self._given((outcome.observation, ends, self._infos(info)))
+        if self._output == "numpy":
+            reward = reward.astype(float)
+        return observation, reward, terminated, truncated, info
+
+    def close_extras(self, **kwargs):
+        """Frees all that it holds. Nothing can be stepped or reset then."""
+        self._close_worlds()
+
+    def _close_worlds(self):
+        if self._worlds is not None:
+            self._worlds.close()
+        self._worlds = self._carry = self._step = self._tally = None
+
+    def _stepped(self, carry, actions, episodes):
+        carry, outcome = self._worlds.step(carry, actions, episodes)
+        return carry, outcome, jax.vmap(self._func.state_info)(carry.states), self._worlds.tally(carry)
+
+    def _taken(self, actions):
+        """`actions` (num_envs, 2) as a JAX array. Raises ValueError for what has another shape, or is not finite."""
+        if not isinstance(actions, jax.Array):
+            if hasattr(actions, "__dlpack__") and not isinstance(actions, np.ndarray):
+                actions = jnp.from_dlpack(actions)
+            else:
+                actions = np.asarray(actions, np.float32)
+                if not np.isfinite(actions).all():
+                    raise ValueError("An action must be finite.")
+        if actions.shape != (self.num_envs, 2):
+            raise ValueError(f"An action must have shape {(self.num_envs, 2)}, not {actions.shape}.")
+        return jnp.asarray(actions, jnp.float32)
+
+    def _infos(self, info):
+        if self._output == "numpy":
+            info = jax.device_get(info)
+            low, high = info["seed"].astype(np.int64).T
+            words = np.where(info["fault"], "physics failed", "").astype(object)
+            info = {**info, "seed": low | high << 32, "fault": words}
+            return {**info, **{f"_{name}": np.ones(self.num_envs, bool) for name in info}}
+        return {**info, **{f"_{name}": jnp.ones(self.num_envs, bool) for name in info}}
+
+    def _given(self, tree):
+        if self._output == "jax":
+            return tree
+        if self._output == "numpy":
+            return jax.tree.map(lambda x: np.array(x) if isinstance(x, jax.Array) else x, tree)
+        import torch
+
+        return jax.tree.map(torch.from_dlpack, tree)
+
+
+def _one_seed(seed):
+    """`seed` as an int, or None. Raises ValueError for what is no seed."""
+    check_seed(seed)
+    if seed is not None and np.ndim(seed):
+        raise ValueError("The engine 'warp' takes one seed: its episodes have that, and those that follow.")
+    return None if seed is None else int(seed)

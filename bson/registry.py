@@ -1,0 +1,26 @@
+"""Every kind of name that users of the benchmark give, in one table; each Kind stands with what it names (macid.registry)."""
+
+import importlib
+
+from macid.registry import Kind
+
+#: {what a list of them is called: (where its Kind is, how a name of it is given)}
+KINDS = {
+    "agents": ("bson.agents:AGENTS", "--agent NAME"),
+    "pedestrians": ("macid.pedestrians:PEDESTRIANS", "--set pedestrian_model=NAME"),
+    "tracks": ("bson.tracks:TRACK_KIND", "--track NAME"),
+    "sensors": ("bson.tracks:SENSOR_KIND", "--sensor NAME"),
+    "maps": ("macid.maps:MAPS", "--set map=NAME"),
+    "robots": ("bson.robot:ROBOTS", "--set robot=NAME"),
+    "suites": ("bson.suites:SUITES", "--suite NAME"),
+    "metrics": ("bson.metrics:METRIC_KIND", "--metric NAME"),
+    "planners": ("bson.planners.planning:KIND", "bson.planners.plan(NAME, ...)"),
+    "algorithms": ("bson.learning.train:KIND", "bson train --algo NAME"),
+    "methods": ("macid.learning.methods:KIND", "macid train --method NAME"),
+}
+
+
+def kind(what: str) -> Kind:
+    """The Kind of KINDS that is called `what`. Raises ModuleNotFoundError where it needs an extra that is missing."""
+    module, _, attribute = KINDS[what][0].partition(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -1,0 +1,309 @@
+"""The robot's worlds in MuJoCo Warp: physics of many worlds at once on a GPU, and on a CPU for tests.
+
+The engine's functions are those of one world, and pure: jax.vmap makes it many, which Warp then steps together. Warp
+keeps a step's some hundred arrays of all worlds to itself; what passes between JAX and Warp are configuration,
+velocity, command and the boxes' places, once a control step. On a GPU the kernels of a step are captured as a CUDA
+graph, when worlds of a number are first asked for, and not while JAX computes: what JAX frees meanwhile is forbidden
+during a capture.
+
+A step agrees with MuJoCo's own to a tolerance, not bit for bit, and on a GPU two runs agree no better than that.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import gc
+import itertools
+import logging
+import threading
+import warnings
+import weakref
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from macid.files import UsageError
+
+SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
+
+
+@dataclasses.dataclass(frozen=True)
+class WarpConfig:
+    """What the engine may take: limits of the solver, and room for contacts.
+
+    contacts: of all worlds together, per world, beside 64; people and a robot in a crowd have a dozen. rows: of one
+    world's constraints, per person, beside 64. Too few of either is an error where a world needs more, and the error
+    tells which. tolerance: of the solver; Warp's own, 1e-6, moves a robot whose wheels slip by millimetres. graph:
+    whether a GPU's kernels are captured as a CUDA graph.
+    """
+
+    solver: str = "newton"
+    iterations: int = 8
+    ls_iterations: int = 16
+    tolerance: float = 1e-8
+    contacts: float = 16.0
+    rows: float = 6.0
+    graph: bool = True
+
+    def __post_init__(self):
+        if self.solver not in SOLVERS:
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, not {self.solver!r}.")
+
+
+class Motion(NamedTuple):
+    """The part of MuJoCo's state that a world's next step depends on."""
+
+    qpos: Any  #: (nq,)
+    qvel: Any  #: (nv,)
+    warmstart: Any  #: (nv,)
+    ctrl: Any  #: (nu,)
+
+
+@functools.cache
+def _warp():
+    """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
+    try:
+        import warp
+    except ImportError:
+        raise UsageError("The engine 'warp' needs warp-lang: pip install 'bson-macid[warp]'.") from None
+    warp.config.log_level = logging.ERROR  # it would tell of itself, and of each kernel that it compiles
+    from mujoco.mjx.third_party import mujoco_warp
+
+    floats, vectors, quaternions = (warp.array(dtype=kind, ndim=2) for kind in (float, warp.vec3, warp.quat))
+    given = dict.fromkeys(("qpos", "qvel", "warmstart", "ctrl"), floats)
+    given |= {"mocap_pos": vectors, "mocap_quat": quaternions}
+    step_out = {**dict.fromkeys(("next_qpos", "next_qvel", "next_warmstart"), floats)}
+    step_out |= {"record": warp.array(dtype=float, ndim=3), "overflow": warp.array(dtype=int, ndim=1)}
+
+    def step(
+        handle,
+        number,
+        qpos,
+        qvel,
+        warmstart,
+        ctrl,
+        mocap_pos,
+        mocap_quat,
+        next_qpos,
+        next_qvel,
+        next_warmstart,
+        record,
+        overflow,
+    ):
+        given = qpos, qvel, warmstart, ctrl, mocap_pos, mocap_quat
+        _batches[handle].step(number, given, (next_qpos, next_qvel, next_warmstart, record, overflow))
+
+    def sense(handle, qpos, qvel, warmstart, ctrl, mocap_pos, mocap_quat, sensordata):
+        _batches[handle].sense((qpos, qvel, warmstart, ctrl, mocap_pos, mocap_quat), sensordata)
+
+    step.__annotations__ = {"handle": int, "number": int, **given, **step_out}
+    sense.__annotations__ = {"handle": int, **given, "sensordata": floats}
+    none = warp.JaxCallableGraphMode.NONE
+    return (
+        warp,
+        mujoco_warp,
+        warp.jax_callable(step, num_outputs=5, graph_mode=none, vmap_method=None),
+        warp.jax_callable(sense, num_outputs=1, graph_mode=none, vmap_method=None),
+    )
+
+
+_handles = itertools.count()
+_batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must not keep worlds alive
+
+
+class WarpEngine:
+    """Physics of the worlds of one MjSpec: functions of one world, to be mapped.
+
+    model: the MjModel, with the solver's limits of `config`. people: how many pedestrians come first in it. Raises
+    UsageError where Warp is not installed, ValueError for a model that it lacks something for.
+    """
+
+    def __init__(self, spec, people, config=None):
+        warp, mujoco_warp, _, _ = _warp()
+        self.config = config = config or WarpConfig()
+        self.people = people
+        spec.option.iterations, spec.option.ls_iterations = config.iterations, config.ls_iterations
+        spec.option.solver = SOLVERS[config.solver]
+        self.model = model = spec.compile()
+        if model.na:
+            raise ValueError("The engine 'warp' has no motors with a state of their own (dyntype).")
+        self.rows = 64 + int(np.ceil(config.rows * people))  #: room for constraint rows in each world
+        self._device = warp.device_from_jax(jax.devices()[0])
+        with warp.ScopedDevice(self._device), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # walls have no friction of their own, see macid.scene.add_boxes
+            self._model = mujoco_warp.put_model(model)
+        self._model.opt.tolerance.fill_(config.tolerance)
+        self._model.opt.warn_overflow = 0  # `explain` tells
+        boxes = np.flatnonzero(model.body_mocapid >= 0)
+        self._heights = jnp.asarray(model.body_pos[boxes[np.argsort(model.body_mocapid[boxes])], 2], jnp.float32)
+        self._made = {}  # by how many worlds
+        self._step = functools.cache(lambda number: _mapped(functools.partial(self._step_worlds, number)))
+        self._sense = _mapped(self._sense_worlds)
+
+    def rest(self, qpos):
+        """The Motion of a world at rest in the configuration `qpos` (nq,)."""
+        nv, nu = self.model.nv, self.model.nu
+        return Motion(qpos, jnp.zeros(nv, jnp.float32), jnp.zeros(nv, jnp.float32), jnp.zeros(nu, jnp.float32))
+
+    def step(self, motion, boxes, number):
+        """`number` physics steps of a world in `motion` among `boxes` (B, 5): the Motion after them, the configuration
+        after each (number, nq), and `overflow`.
+
+        overflow: 0, or the bits of what found no room (Warp's OverflowType); `explain` puts them into words.
+        """
+        qpos, qvel, warmstart, record, overflow = self._step(number)(*motion, *self._placed(boxes))
+        return Motion(qpos, qvel, warmstart, motion.ctrl), record, overflow & _LOST
+
+    def sensordata(self, motion, boxes):
+        """What MuJoCo's own sensors (IMU) read in a world: (nsensordata,)."""
+        (read,) = self._sense(*motion, *self._placed(boxes))
+        return read
+
+    def contacts(self, nworld):
+        """For how many contacts `nworld` worlds have room together."""
+        return 64 + int(np.ceil(self.config.contacts * nworld))
+
+    def explain(self, overflow):
+        """The bits `overflow` of a step in one sentence."""
+        told = []
+        if overflow & _ROWS:
+            told.append(
+                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g})"
+            )
+        if overflow & ~_ROWS:
+            told.append(f"there are too many contacts: raise WarpConfig.contacts ({self.config.contacts:g} a world)")
+        return "Physics ran out of room: " + "; ".join(told) + "."
+
+    def _placed(self, boxes):
+        """Where Warp has `boxes` (B, 5): their places (B, 3) and quaternions (B, 4)."""
+        half = boxes[:, 4] / 2
+        zero = jnp.zeros_like(half)
+        quaternions = jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)], axis=-1)
+        return jnp.concatenate([boxes[:, :2], self._heights[:, None]], axis=-1), quaternions
+
+    def _batch(self, nworld):
+        if nworld not in self._made:
+            self._made[nworld] = _Batch(self, nworld)
+        return self._made[nworld]
+
+    def _step_worlds(self, number, qpos, *fields):
+        nworld, model = len(qpos), self.model
+        shapes = {"next_qpos": qpos.shape, "next_qvel": (nworld, model.nv), "next_warmstart": (nworld, model.nv)}
+        shapes |= {"record": (nworld, number, model.nq), "overflow": (nworld,)}
+        return tuple(_warp()[2](self._batch(nworld).handle, number, qpos, *fields, output_dims=shapes))
+
+    def _sense_worlds(self, qpos, *fields):
+        shape = {"sensordata": (len(qpos), self.model.nsensordata)}
+        return tuple(_warp()[3](self._batch(len(qpos)).handle, qpos, *fields, output_dims=shape))
+
+
+def _mapped(many):
+    """`many`, a function of worlds, arrays with a leading axis (nworld,), as one of a world, that jax.vmap maps to it,
+    mapped once or more often."""
+
+    def spread(size, batched, fields):
+        return [
+            field if whole else jnp.broadcast_to(field, (size, *field.shape))
+            for field, whole in zip(fields, batched, strict=True)
+        ]
+
+    worlds = jax.custom_batching.custom_vmap(many)
+
+    @worlds.def_vmap
+    def _(size, batched, *fields):
+        fields = spread(size, batched, fields)
+        found = worlds(*(field.reshape(-1, *field.shape[2:]) for field in fields))
+        return tuple(one.reshape(size, -1, *one.shape[1:]) for one in found), (True,) * len(found)
+
+    @jax.custom_batching.custom_vmap
+    def single(*fields):
+        return tuple(one[0] for one in worlds(*(field[None] for field in fields)))
+
+    @single.def_vmap
+    def _(size, batched, *fields):
+        found = worlds(*spread(size, batched, fields))
+        return found, (True,) * len(found)
+
+    return single
+
+
+class _Batch:
+    """`nworld` worlds' arrays on Warp's side, and the graphs of what is done with them."""
+
+    def __init__(self, engine, nworld):
+        self._warp, self._mujoco, _, _ = _warp()
+        self._full, self._lock = engine._model, threading.Lock()
+        flags = self._full.opt.disableflags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._quiet = dataclasses.replace(self._full, opt=dataclasses.replace(self._full.opt, disableflags=flags))
+        graphs = engine.config.graph and engine._device.is_cuda
+        with self._warp.ScopedDevice(engine._device), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self._data = self._mujoco.make_data(
+                engine.model, nworld=nworld, naconmax=engine.contacts(nworld), njmax=engine.rows
+            )
+            self._step = self._captured(self._mujoco.step, self._quiet) if graphs else None
+            self._forward = self._captured(self._mujoco.forward, self._full) if graphs else None
+        self.handle = next(_handles)
+        _batches[self.handle] = self
+
+    def _captured(self, act, model):
+        """The CUDA graph of act(model, data)."""
+        act(model, self._data)  # loads the kernels
+        self._warp.synchronize_device()
+        relaxed = self._warp.CaptureMode.RELAXED
+        with _no_collection(), self._warp.ScopedCapture(capture_mode=relaxed) as capture:
+            act(model, self._data)
+        self._warp.synchronize_device()
+        return capture.graph
+
+    def _load(self, given):
+        own = self._data.qpos, self._data.qvel, self._data.qacc_warmstart, self._data.ctrl
+        for to, array in zip((*own, self._data.mocap_pos, self._data.mocap_quat), given, strict=True):
+            self._warp.copy(to, array)
+
+    def step(self, number, given, after):
+        """`number` steps on `given`, Warp's arrays; what comes of it goes to `after`."""
+        *motion, record, overflow = after
+        with self._lock:  # on a CPU JAX may call from several threads
+            self._load(given)
+            self._data.overflow.zero_()
+            for place in range(number):
+                if self._step is None:
+                    self._mujoco.step(self._quiet, self._data)
+                else:
+                    self._warp.capture_launch(self._step)
+                self._warp.copy(record[:, place], self._data.qpos)
+            own = self._data.qpos, self._data.qvel, self._data.qacc_warmstart, self._data.overflow
+            for array, to in zip(own, (*motion, overflow), strict=True):
+                self._warp.copy(to, array)
+
+    def sense(self, given, sensordata):
+        """What MuJoCo's sensors read in `given`, Warp's arrays, goes to `sensordata`."""
+        with self._lock:
+            self._load(given)
+            if self._forward is None:
+                self._mujoco.forward(self._full, self._data)
+            else:
+                self._warp.capture_launch(self._forward)
+            self._warp.copy(sensordata, self._data.sensordata)
+
+
+@contextlib.contextmanager
+def _no_collection():
+    """Nothing is freed by Python's collector meanwhile."""
+    gc.collect()
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+# Of Warp's OverflowType: what loses contacts or rows (a solver that stops at its limit loses nothing).
+_ROWS = 1 << 0 | 1 << 1
+_LOST = _ROWS | 1 << 2 | 1 << 3 | 1 << 4

@@ -1,0 +1,206 @@
+"""Episodes drawn on the host for worlds on a device: a ring of them there, refilled in the background.
+
+An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. What the native world draws in passing, the
+goals of people who have arrived at theirs, is drawn here beforehand, from the same stream after the spawn: each goal
+lies about the last one, not about where the person will stand when it gets there, up to GOAL_RADIUS beside it. Whoever
+has come to the end of its ways walks them back.
+"""
+
+import concurrent.futures
+import os
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bson import robot
+from bson.simulation.data import MAP_RESOLUTION
+from bson.simulation.people import find_ways, next_goals
+from bson.task import spawn
+from macid import layout
+from macid.routing import occupancy_grid
+
+GOALS = 8  # of each person, where ways are straight
+ROUTED_GOALS = 3  # where they lead around obstacles, which takes the host far longer
+ROUTED_WAYPOINTS = 32
+_BLOCK = 64  # episodes that a worker draws at once
+
+
+class Drawn(NamedTuple):
+    """How an episode begins: NumPy or JAX arrays, with a leading axis where there are many."""
+
+    seed: Any  #: (2,) uint32, the lower half first
+    boxes: Any  #: (B, 5)
+    robot: Any  #: (7,) of the robot's free joint
+    goal: Any  #: (2,) [m]
+    start_distance: Any  #: () [m]
+    people: Any  #: (K, 3) x, y, yaw
+    lcf: Any  #: (K,)
+    models: Any  #: (K,) int32
+    ways: Any  #: (K, W, 2) waypoints [m], goal after goal
+    turns: Any  #: (K,) int32: how many waypoints there are
+    map: Any  #: (cells, cells) uint8, see bson.tracks; (0, 0) unless asked for
+
+
+def _itineraries(config, drawn, rng):
+    """Waypoints (K, W, 2) [m] of the people of a Spawn, and how many each has (K,)."""
+    count, routed = config.people, drawn.router is not None or bool(drawn.layout.routes)
+    goals, most = (ROUTED_GOALS, ROUTED_WAYPOINTS) if routed else (GOALS, GOALS)
+    chains = [[] for _ in range(count)]
+    places, ends = drawn.people[:, :2], drawn.people_goals
+    for number in range(goals if count else 0):
+        if number:
+            try:
+                places, ends = ends, next_goals(config, drawn.layout, drawn.router, range(count), ends, rng)
+            except layout.NoFreeSpace:  # then they go back from there
+                break
+        for chain, way in zip(chains, find_ways(drawn.layout, drawn.router, range(count), places, ends), strict=True):
+            chain.extend(way)
+    ways, turns = np.zeros((count, most, 2), np.float32), np.zeros(count, np.int32)
+    for person, chain in enumerate(chains):
+        turns[person] = min(len(chain), most)
+        ways[person, : turns[person]] = chain[:most]
+    return ways, turns
+
+
+def draw(config, seed, with_map=False):
+    """The episode `seed` of `config`: Drawn, of NumPy arrays. Raises NoFreeSpace."""
+    rng = np.random.default_rng(int(seed))
+    drawn = spawn(config, rng)
+    ways, turns = _itineraries(config, drawn, rng)
+    grid = occupancy_grid(drawn.layout, MAP_RESOLUTION, radius=0.0) if with_map else np.zeros((0, 0))
+    return Drawn(
+        np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32),
+        drawn.layout.boxes.astype(np.float32),
+        robot.spawn_qpos(*drawn.robot, config.robot).astype(np.float32),
+        drawn.goal.astype(np.float32),
+        np.float32(np.hypot(*(drawn.goal - drawn.robot[:2]))),
+        drawn.people.astype(np.float32),
+        drawn.lcf.astype(np.float32),
+        drawn.models.astype(np.int32),
+        ways,
+        turns,
+        grid.astype(np.uint8),
+    )
+
+
+def draw_all(config, seeds, with_map=False):
+    """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
+    return Drawn(*map(np.stack, zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)))
+
+
+class _Worker:
+    """Another process that draws episodes, so that this one's interpreter is free."""
+
+    def __init__(self):
+        command = [sys.executable, "-c", "from bson.simulation.pool import serve; serve()"]
+        environment = {**os.environ, "JAX_PLATFORMS": "cpu"}  # it needs no accelerator
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        self._lock = threading.Lock()
+
+    def __call__(self, *arguments):
+        with self._lock:
+            pickle.dump(arguments, self._process.stdin)
+            self._process.stdin.flush()
+            answer = pickle.load(self._process.stdout)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def close(self):
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+def serve():
+    """What a worker process does: draws what it is asked for on its standard input until that ends."""
+    output, sys.stdout = sys.stdout.buffer, sys.stderr
+    while True:
+        try:
+            arguments = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        try:
+            answer = draw_all(*arguments)
+        except Exception as error:
+            answer = error
+        pickle.dump(answer, output)
+        output.flush()
+
+
+class Pool:
+    """A ring of `size` episodes on the device, with the seeds `seed`, `seed + 1`, ...: none comes twice.
+
+    `episodes` (Drawn, leading axis (size,)) is what a step takes from. Whoever begins episodes takes the slots in
+    order, one after the other around the ring, calls `used` to say how many it has taken, and before it may take up to
+    `number` more `ensure(number)`, which waits only where the host has not drawn them yet. workers: processes that
+    draw; 0: a thread.
+    """
+
+    def __init__(self, config, size, seed=0, with_map=False, workers=0):
+        import jax
+
+        self.size, self.workers = size, workers
+        self.config, self._with_map = config, with_map
+        self._next_seed = int(seed)
+        block = max(1, min(_BLOCK, size // 4))
+        while size % block:
+            block -= 1
+        self._block = block
+        self.begun = self.drawn = 0  #: episodes that were taken from the ring, and put into it
+        self.waited = 0.0  #: for episodes, after the first ones [s]
+        self._workers = [_Worker() for _ in range(workers)]
+        self._threads = concurrent.futures.ThreadPoolExecutor(max(1, workers), "bson-pool")
+        self._pending = []
+        self._ask()
+        first = self._pending[0].result()
+        self.episodes = jax.tree.map(lambda x: jax.numpy.zeros((size, *x.shape[1:]), x.dtype), Drawn(*first))
+        self._put = jax.jit(
+            lambda ring, block, at: jax.tree.map(
+                lambda ring, block: jax.lax.dynamic_update_slice_in_dim(ring, block, at, 0), ring, block
+            ),
+            donate_argnums=0,
+        )
+
+    def _ask(self):
+        """Has as many blocks drawn as will fit into the ring, beside those that wait for room, and two more a
+        worker."""
+        ahead = max(2, 2 * len(self._workers)) + (self.size - (self.drawn - self.begun)) // self._block
+        while len(self._pending) < ahead:
+            seeds = range(self._next_seed, self._next_seed + self._block)
+            self._next_seed += self._block
+            number = self._next_seed // self._block
+            task = self._workers[number % len(self._workers)] if self._workers else draw_all
+            self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map))
+
+    def used(self, number):
+        """Says that `number` more episodes have been begun."""
+        self.begun += int(number)
+
+    def ensure(self, number):
+        """Sees to it that at least `number` episodes are in the ring that nobody has begun yet. Raises NoFreeSpace."""
+        if number > self.size - self._block + 1:
+            raise ValueError(f"A pool of {self.size} episodes can't have {number} ready: give it a larger size.")
+        begin, short = time.perf_counter(), self.drawn - self.begun < number and self.begun > 0
+        while self._pending and self.drawn - self.begun <= self.size - self._block:
+            if not (self._pending[0].done() or self.drawn - self.begun < number):
+                break
+            block = self._pending.pop(0).result()
+            self.episodes = self._put(self.episodes, block, self.drawn % self.size)
+            self.drawn += self._block
+            self._ask()
+        if short:
+            self.waited += time.perf_counter() - begin
+        self._ask()
+
+    def close(self):
+        """Ends the drawing; closing twice does no harm."""
+        self._threads.shutdown(wait=True, cancel_futures=True)
+        for worker in self._workers:
+            worker.close()
+        self._workers = []

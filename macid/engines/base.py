@@ -1,0 +1,148 @@
+"""What an engine is to all that uses one, and what engines share."""
+
+import dataclasses
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from macid import contacts
+from macid.files import UsageError
+from macid.state import CrowdState
+
+DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
+_UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a loop's sums may differ in the last bit
+
+
+class Engine(Protocol):
+    """`nworld` worlds of a crowd of `number` people. A state is a tree of arrays of its own with a leading axis (nworld,)."""
+
+    number: int
+    nworld: int
+    boxes: Any  #: (B, 5), of all worlds
+    shards: bool  #: whether its worlds can lie on several devices of JAX's
+    stacks: bool  #: whether several batches under vmap, as of several seeds, are stepped at once, not one after the other
+
+    def init(self, position, yaw) -> Any:
+        """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]. Jittable."""
+        ...
+
+    def step(self, state, command, nstep: int = 1) -> Any:
+        """The state after `nstep` physics steps under `command` (nworld, K, 3): world velocity [m/s], yaw rate [rad/s].
+        Jittable, and mappable over a leading axis of both."""
+        ...
+
+    def read(self, state) -> CrowdState:
+        """The crowds of a state, leading axes (nworld, K). Jittable."""
+        ...
+
+    def place(self, state, who, position) -> Any:
+        """The state with the people `who` (nworld, K) bool put at rest at `position` (nworld, K, 2) [m]. Jittable."""
+        ...
+
+    def faults(self, state) -> list[str]:
+        """What of the physics failed in each world: "" where nothing did. `state`: the last one. Raises as `check`."""
+        ...
+
+    def check(self) -> None:
+        """Raises EngineOverflow where the engine had too little room for what it has simulated so far; to be called when
+        that has come to its end, as jitted code can't raise."""
+        ...
+
+
+class EngineOverflow(UsageError):
+    """An engine had too little room for contacts: what it gave is wrong. The text names the option to raise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class NoOptions:
+    """The options of an engine that has none."""
+
+
+class FlatState(NamedTuple):
+    """The part of MuJoCo's state that a crowd's next step depends on, one row a world."""
+
+    qpos: Any  #: (nworld, 3 K)
+    qvel: Any  #: (nworld, 3 K)
+    qacc_warmstart: Any  #: (nworld, 3 K)
+
+
+class CrowdEngine:
+    """What engines share: the model, sizes, and reading."""
+
+    shards = stacks = False
+    options = NoOptions  # the dataclass of what may follow the engine's name
+
+    def __init__(self, model, number, boxes, nworld):
+        self.model, self.number, self.nworld = model, number, nworld
+        self.boxes = jnp.asarray(boxes, jnp.float32)
+
+    def _pack(self, position, yaw):
+        pose = jnp.concatenate([jnp.asarray(position), jnp.asarray(yaw)[..., None]], axis=-1)
+        return pose.reshape(self.nworld, 3 * self.number).astype(jnp.float32)
+
+    def init(self, position, yaw) -> Any:
+        """As Engine.init; of engines whose state is a FlatState."""
+        qpos = self._pack(position, yaw)
+        return FlatState(qpos, jnp.zeros_like(qpos), jnp.zeros_like(qpos))
+
+    def read(self, state) -> CrowdState:
+        """As Engine.read."""
+        return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
+
+    def faults(self, state) -> list[str]:
+        """As Engine.faults.
+
+        Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the model's
+        default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
+        """
+        speed = np.abs(np.asarray(state.qvel)).max(axis=-1, initial=0.0)
+        finite = np.isfinite(np.asarray(state.qpos)).all(axis=-1)
+        self.check()
+        return [
+            warned or ("" if good and fast <= DIVERGED else f"somebody moves at {fast:.0f} m/s or rad/s")
+            for warned, good, fast in zip(self._warned(), finite, speed, strict=True)
+        ]
+
+    def check(self) -> None:
+        """As Engine.check: this engine finds room as it goes."""
+
+    def _warned(self) -> list[str]:
+        """What MuJoCo warned of in each world, in its words."""
+        return [""] * self.nworld
+
+    def place(self, state, who, position) -> Any:
+        """As Engine.place."""
+        shape = (self.nworld, self.number, 3)
+        pose = state.qpos.reshape(shape)
+        moved = jnp.concatenate([jnp.broadcast_to(position, (*shape[:2], 2)), pose[..., 2:]], axis=-1)
+        qpos = jnp.where(who[..., None], moved, pose).reshape(state.qpos.shape)
+        still = jnp.where(jnp.repeat(who, 3, axis=-1), 0.0, 1.0)
+        return self._replace(
+            state,
+            qpos=qpos.astype(jnp.float32),
+            qvel=state.qvel * still,
+            qacc_warmstart=state.qacc_warmstart * still,
+        )
+
+    def _replace(self, state, **fields) -> Any:
+        return state._replace(**fields)
+
+
+def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
+    """The CrowdState of the first `number` pedestrians in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B, 5)."""
+    pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
+    rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
+    position = pose[..., :2]
+    return CrowdState(position, pose[..., 2], rate[..., :2], rate[..., 2], contacts.touching(position, boxes))
+
+
+def repeat(step, carried, number):
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes no
+    longer to compile however many steps it has."""
+    if number > _UNROLLED:
+        return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
+    for _ in range(number):
+        carried = step(carried)
+    return carried

@@ -1,0 +1,205 @@
+"""MuJoCo Warp: the engine for NVIDIA GPUs. It runs on a CPU as well, for tests.
+
+`mjx.put_model(model, impl="warp")` would hand all of a step's 168 fields to the kernels and back at every step: each is a
+buffer of XLA's that is made anew, of some hundred bytes a person and more. Here Warp keeps them; what passes between the
+two at a step is the state and the command.
+
+The kernels of a step are captured once, as a graph, when an engine is made, and not when XLA first comes by: within XLA's
+callback Python may collect garbage, and what JAX frees there is forbidden while a CUDA graph is captured, so that the process
+hung. A graph is 30 times as fast as its kernels one by one, on a CPU. On a GPU equal seeds agree to a tolerance, not bit for
+bit: contacts are counted in any order.
+"""
+
+import contextlib
+import copy
+import dataclasses
+import gc
+import itertools
+import warnings
+import weakref
+
+import jax
+import mujoco
+import numpy as np
+import warp as wp
+from mujoco.mjx.third_party import mujoco_warp
+from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
+
+from macid.engines.base import CrowdEngine, EngineOverflow, FlatState
+from macid.state import parking_place
+
+wp.config.log_level = wp.LOG_ERROR  # at its first use it would tell of itself, and of each kernel that it compiles
+_ROWS = 4  # of a contact's constraints: condim 3 in a pyramid
+_CONTACTS = OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD
+_OVERFLOWS = _CONTACTS | OverflowType.NEFC | OverflowType.NJMAX_NNZ
+MOST_NEWTON = 100  # people
+ITERATIONS = {"newton": 8, "cg": 32}
+_SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
+
+
+@dataclasses.dataclass(frozen=True)
+class WarpOptions:
+    """How MuJoCo Warp simulates; an engine's name may give them: `warp:contacts=4,solver=cg`."""
+
+    contacts: int = 2  # room for contacts, a person: of all worlds together, and four rows of constraints each in every world
+    solver: str = "auto"  # newton, exact within a few iterations, up to MOST_NEWTON people; cg, whose work grows less, beyond
+    iterations: int = 0  # of the solver, at most; 0: ITERATIONS of the solver
+    line_search: int = 16  # iterations of its line search, at most
+    until_done: bool = True  # the solver stops when all worlds are done (a loop in the CUDA graph), not after `iterations`
+    graph: str = "engine"  # a step's graph is captured with the engine; on a GPU also where XLA first comes by ("call"); "none"
+
+    def __post_init__(self):
+        for name, least in (("contacts", 1), ("iterations", 0), ("line_search", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be at least {least}, not {getattr(self, name)}.")
+        if self.graph not in ("engine", "call", "none"):
+            raise ValueError(f"graph must be engine, call or none, not '{self.graph}'.")
+        if self.solver not in ("auto", *_SOLVERS):
+            raise ValueError(f"solver must be one of auto, {', '.join(_SOLVERS)}, not '{self.solver}'.")
+
+    def solving(self, number):
+        """(solver, iterations at most) of a crowd of `number` people."""
+        solver = ("newton" if number <= MOST_NEWTON else "cg") if self.solver == "auto" else self.solver
+        return solver, self.iterations or ITERATIONS[solver]
+
+
+class WarpEngine(CrowdEngine):
+    """Worlds on JAX's first device. Under vmap, as of several seeds, all their worlds are stepped at once."""
+
+    stacks = True
+    options = WarpOptions
+
+    def __init__(self, model, number, boxes, nworld, options=WarpOptions()):
+        super().__init__(model, number, boxes, nworld)
+        self.chosen = options
+        self._device = wp.device_from_jax(jax.devices()[0])
+        own = copy.copy(model)
+        solver, own.opt.iterations = options.solving(number)
+        own.opt.solver, own.opt.jacobian = _SOLVERS[solver], mujoco.mjtJacobian.mjJAC_SPARSE
+        own.opt.ls_iterations = options.line_search
+        with wp.ScopedDevice(self._device), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # walls have no friction of their own, see macid.scene.add_boxes
+            self._model = mujoco_warp.put_model(own)
+        self._model.opt.graph_conditional = options.until_done
+        self._model.opt.warn_overflow = 0  # `check` tells
+        self._mujoco, self._batches = own, {}
+        self._call = _captured_call if options.graph == "call" and self._device.is_cuda else _call
+        self._step = jax.custom_batching.custom_vmap(self._step_worlds)
+        self._step.def_vmap(self._step_stacked)
+        self._batch(nworld)
+
+    def step(self, state, command, nstep=1) -> FlatState:
+        """As Engine.step."""
+        ctrl = command.reshape(state.qpos.shape)
+        for _ in range(nstep):
+            state = FlatState(*self._step(*state, ctrl))
+        return state
+
+    def check(self) -> None:
+        """As Engine.check."""
+        for batch in self._batches.values():
+            batch.check()
+
+    def _batch(self, nworld):
+        if nworld not in self._batches:
+            self._batches[nworld] = _Batch(self._mujoco, self._model, self._device, nworld, self.number, self.chosen)
+        return self._batches[nworld]
+
+    def _step_worlds(self, qpos, qvel, warmstart, ctrl):
+        return tuple(self._call(self._batch(len(qpos)).handle, qpos, qvel, warmstart, ctrl, output_dims=qpos.shape))
+
+    def _step_stacked(self, size, batched, *fields):
+        """The same under vmap: the stacks' worlds are worlds of one batch."""
+        whole = [field if is_so else jax.numpy.broadcast_to(field, (size, *field.shape))
+                 for field, is_so in zip(fields, batched, strict=True)]
+        stepped = self._step(*(field.reshape(-1, field.shape[-1]) for field in whole))
+        return tuple(field.reshape(whole[0].shape) for field in stepped), (True,) * len(stepped)
+
+
+class _Batch:
+    """`nworld` worlds' arrays on Warp's side, and the graph of their step."""
+
+    def __init__(self, mujoco_model, model, device, nworld, number, options):
+        self._model, self._options, self._number = model, options, number
+        with wp.ScopedDevice(device):
+            self.data = mujoco_warp.make_data(
+                mujoco_model,
+                nworld=nworld,
+                naconmax=options.contacts * number * nworld,
+                njmax=_ROWS * options.contacts * number,
+            )
+            self._graph = self._capture() if options.graph == "engine" else None
+        self.handle = next(_handles)
+        _batches[self.handle] = self
+
+    def _capture(self):
+        """The graph of a step."""
+        places = np.pad(parking_place(np.arange(self._number)), ((0, 0), (0, 1))).ravel()
+        self.data.qpos.assign(np.tile(places, (self.data.nworld, 1)).astype(np.float32))
+        mujoco_warp.step(self._model, self.data)  # loads the kernels
+        wp.synchronize_device()
+        # Relaxed: nothing that another thread asks of CUDA meanwhile is in the way.
+        with _no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
+            mujoco_warp.step(self._model, self.data)
+        self.data.overflow.zero_()
+        wp.synchronize_device()
+        return capture.graph
+
+    def step(self, given, stepped):
+        """`stepped`, (qpos, qvel, qacc_warmstart), is what follows on `given`, these and ctrl: Warp arrays (nworld, 3 K)."""
+        data = self.data
+        for own, array in zip((data.qpos, data.qvel, data.qacc_warmstart, data.ctrl), given, strict=True):
+            wp.copy(own, array)
+        if self._graph is None:
+            mujoco_warp.step(self._model, data)
+        else:
+            wp.capture_launch(self._graph)
+        for array, own in zip(stepped, (data.qpos, data.qvel, data.qacc_warmstart), strict=True):
+            wp.copy(array, own)
+
+    def check(self):
+        """Raises EngineOverflow if there was too little room."""
+        what = int(np.bitwise_or.reduce(self.data.overflow.numpy()))
+        if what & _OVERFLOWS:
+            kind = "contacts" if what & _CONTACTS else "rows of constraints"
+            self.data.overflow.zero_()
+            raise EngineOverflow(
+                f"The engine 'warp' had too little room for {kind}: {self._options.contacts} contacts a person of "
+                f"{self._number}. Raise its option: --engine warp:contacts={2 * self._options.contacts}"
+            )
+
+
+@contextlib.contextmanager
+def _no_collection():
+    """Nothing is freed by Python's collector meanwhile."""
+    gc.collect()
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+_handles = itertools.count()
+_batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must not keep worlds alive
+
+
+def _step_batch(
+    handle: int,
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    warmstart: wp.array2d(dtype=float),
+    ctrl: wp.array2d(dtype=float),
+    next_qpos: wp.array2d(dtype=float),
+    next_qvel: wp.array2d(dtype=float),
+    next_warmstart: wp.array2d(dtype=float),
+):
+    _batches[handle].step((qpos, qvel, warmstart, ctrl), (next_qpos, next_qvel, next_warmstart))
+
+
+_call, _captured_call = (
+    wp.jax_callable(_step_batch, num_outputs=3, graph_mode=mode, vmap_method=None)
+    for mode in (wp.JaxCallableGraphMode.NONE, wp.JaxCallableGraphMode.WARP)
+)
