@@ -4,10 +4,12 @@ import dataclasses
 import functools
 import os
 import time
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 
+from macid.engines.base import Engine
 from macid.layout import LEVELS, load_level
 from macid.learning import ppo
 from macid.learning import train as presets
@@ -71,7 +73,7 @@ def profile_parts(config, seconds=1.0):
         "update": (jax.jit(learn), (state, data)),
     }
     found = {part: _duration(functools.partial(call, *given), seconds) for part, (call, given) in parts.items()}
-    trainer.engine = _Standing(engine)
+    trainer.engine = cast(Engine, _Standing(engine))
     still = jax.jit(lambda *given: trainer._rollout(*given))  # not `roll`'s function, so compiled anew
     found["rollout without physics"] = _duration(lambda: still(state.parameters, state.walk, state.key), seconds)
     return {part: round(1e6 * duration / steps, 1) for part, duration in found.items()}

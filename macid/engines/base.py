@@ -103,7 +103,7 @@ class CrowdEngine:
         model's default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
         """
         speed = np.abs(np.asarray(state.qvel)).max(axis=-1, initial=0.0)
-        finite = np.isfinite(np.asarray(state.qpos)).all(axis=-1)
+        finite = np.asarray(np.isfinite(np.asarray(state.qpos)).all(axis=-1))
         self.check()
         return [
             warned or ("" if good and fast <= DIVERGED else f"somebody moves at {fast:.0f} m/s or rad/s")

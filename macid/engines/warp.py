@@ -190,13 +190,13 @@ _batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must no
 
 def _step_batch(
     handle: int,
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
-    warmstart: wp.array2d(dtype=float),
-    ctrl: wp.array2d(dtype=float),
-    next_qpos: wp.array2d(dtype=float),
-    next_qvel: wp.array2d(dtype=float),
-    next_warmstart: wp.array2d(dtype=float),
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    warmstart: wp.array2d[float],
+    ctrl: wp.array2d[float],
+    next_qpos: wp.array2d[float],
+    next_qvel: wp.array2d[float],
+    next_warmstart: wp.array2d[float],
 ):
     _batches[handle].step((qpos, qvel, warmstart, ctrl), (next_qpos, next_qvel, next_warmstart))
 
