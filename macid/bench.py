@@ -1,12 +1,15 @@
 """How many agent-steps a second a crowd rolls out and learns from, and what takes the time."""
 
 import dataclasses
+import functools
 import os
 import time
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 
+from macid.engines.base import Engine
 from macid.layout import LEVELS, load_level
 from macid.learning import ppo
 from macid.learning import train as presets
@@ -20,8 +23,8 @@ KINDS = ("rollout", "training")
 def measure(config, seconds=3.0, only=None):
     """Agent-steps/s of rollouts alone (observation, policy, physics, reward) and of whole training iterations.
 
-    Each is repeated for about `seconds` [s], after a first call that compiles. only: "rollout" or "training", so that the
-    other is not measured, and None.
+    Each is repeated for about `seconds` [s], after a first call that compiles. only: "rollout" or "training"; the other
+    is not measured, and None.
     """
     trainer = Trainer(config)
     state = trainer.init()
@@ -36,8 +39,8 @@ def measure(config, seconds=3.0, only=None):
 
 
 def profile_parts(config, seconds=1.0):
-    """{part: microseconds} that the parts of a training iteration take a decision of all worlds, each compiled by itself:
-    the rollout, the same without physics, physics alone, observation alone, and the update (the values' estimates included).
+    """{part: microseconds} that parts of a training iteration take a decision of all worlds, each compiled by itself:
+    the rollout, the same without physics, physics alone, observation alone, and the gradient steps of the update.
     """
     trainer = Trainer(config)
     state, steps = trainer.init(), config.rollout
@@ -51,7 +54,8 @@ def profile_parts(config, seconds=1.0):
     def observation(walk):
         def one(carried, _):
             crowd, _ = carried
-            seen = observe(crowd, boxes, walk.goals)  # what is seen moves people a little, so that no look is like another
+            seen = observe(crowd, boxes, walk.goals)
+            # What is seen moves people a little, so that no look is like another.
             return (crowd._replace(position=crowd.position + 1e-6 * seen[..., :2]), seen), None
 
         crowd = engine.read(walk.physics)
@@ -68,9 +72,9 @@ def profile_parts(config, seconds=1.0):
         "observation": (jax.jit(observation), (state.walk,)),
         "update": (jax.jit(learn), (state, data)),
     }
-    found = {part: _duration(lambda call=call, given=given: call(*given), seconds) for part, (call, given) in parts.items()}
-    trainer.engine = _Standing(engine)
-    still = jax.jit(lambda *given: trainer._rollout(*given))  # of another function than `roll`, so that it is compiled anew
+    found = {part: _duration(functools.partial(call, *given), seconds) for part, (call, given) in parts.items()}
+    trainer.engine = cast(Engine, _Standing(engine))
+    still = jax.jit(lambda *given: trainer._rollout(*given))  # not `roll`'s function, so compiled anew
     found["rollout without physics"] = _duration(lambda: still(state.parameters, state.walk, state.key), seconds)
     return {part: round(1e6 * duration / steps, 1) for part, duration in found.items()}
 
@@ -119,7 +123,8 @@ def run(
 ):
     """Prints the table, a line a case; returns its rows as dicts.
 
-    rollout: decisions between updates. only: see `measure`. profile: each row also has what parts take, see `profile_parts`.
+    rollout: decisions between updates. only: see `measure`. profile: each row also has what parts take, see
+    `profile_parts`.
     """
     show(
         f"{jax.default_backend()}: {device()}, jax {jax.__version__}; "
@@ -133,7 +138,8 @@ def run(
                 presets.preset(preset, level=level, nworld=nworld, engine=engine), rollout=rollout
             )
             options = {} if only is None else {"only": only}
-            people, measured = load_level(level).pedestrians, dict(zip(KINDS, measure(config, seconds, **options), strict=True))
+            people = load_level(level).pedestrians
+            measured = dict(zip(KINDS, measure(config, seconds, **options), strict=True))
             row = {"device": device(), "engine": engine, "people": people, "worlds": nworld, **measured}
             told = "".join(
                 f"{'-' if measured[kind] is None else format(measured[kind], ',.0f'):>{width}}"

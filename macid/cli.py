@@ -29,8 +29,7 @@ from macid.files import (
     write_json,
 )
 
-
-_ENGINE = "native (CPU), mjx, or warp (GPU), with options or without: warp:contacts=4 (default: the best there is, which is told)"
+_ENGINE = "native (CPU), mjx or warp (GPU), with options as in warp:contacts=4 (default: the best there is; it is told)"
 _PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
 _ROLLOUT = {"kind": int, "least": 1, "most": 1_000_000}
 

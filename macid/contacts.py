@@ -1,11 +1,12 @@
-"""Who touches whom: a geometric test, the same whatever engine simulates, so that scores don't depend on a solver's details."""
+"""Who touches whom: a geometric test, the same on all engines, so that scores don't depend on a solver's details."""
 
 from macid import geometry
 from macid.state import CONTACT_GAP, RADIUS
 
 
 def touching(position, boxes):
-    """Whether each person of `position` (..., K, 2) [m] is within CONTACT_GAP of a person or of `boxes` (..., B, 5): (..., K)."""
+    """Whether each person of `position` (..., K, 2) [m] is within CONTACT_GAP of another or of `boxes` (..., B, 5):
+    (..., K)."""
     xp = position.__array_namespace__()
     people = xp.any(touching_people(position), axis=-1)
     to_boxes = geometry.point_box_distance(position, boxes[..., None, :, :])

@@ -25,7 +25,7 @@ declare -A cases=(
   [profile50]="@ --levels 2 --worlds $worlds --preset gpu --rollout 25 --only rollout --profile"
   [profile200]="@ --levels 4 --worlds $worlds --preset gpu --rollout 25 --only rollout --profile"
   [profile50-many]="@ --levels 2 --worlds $many --preset gpu --rollout 25 --only rollout --profile"
-  [rollout50-cg]="@solver=cg,iterations=16 --levels 2 --worlds $worlds --only rollout"
+  [rollout50-cg]="@solver=cg --levels 2 --worlds $worlds --only rollout"
   [rollout50-loop]="@until_done=0,iterations=6 --levels 2 --worlds $worlds --only rollout"
   [rollout50-room]="@contacts=1 --levels 2 --worlds $worlds --only rollout"
   [rollout200-newton]="@solver=newton --levels 4 --worlds $worlds --only rollout"

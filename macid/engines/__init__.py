@@ -6,9 +6,9 @@
 | `mjx` | MuJoCo in JAX | any device of JAX's, several at once |
 | `warp` | MuJoCo Warp's kernels, the extra `warp` | NVIDIA GPUs; a CPU for tests, slowly |
 
-Each is functional, `step(state, command) -> state`, can sit in a jitted `lax.scan`, and is read as the same `CrowdState`
-(`macid.engines.base.Engine`). Nothing behind this call asks which engine runs: an engine says what it can. An engine's
-options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
+Each is functional, `step(state, command) -> state`, can sit in a jitted `lax.scan`, and is read as the same
+`CrowdState` (`macid.engines.base.Engine`). Nothing behind this call asks which engine runs: an engine says what it can.
+An engine's options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
 
 A new engine is a file in this folder and a line in ENGINES.
 """
@@ -32,7 +32,7 @@ WARP_PACKAGE = "warp-lang==1.18.0"  # the version that mujoco-mjx 3.17.0 names
 
 
 def engine_name(text: str) -> str:
-    """`text`, the name of an engine with or without options, if there is one of that name. Raises UsageError, naming the
+    """`text`, the name of an engine with or without options, if there is such an engine. Raises UsageError, naming the
     valid ones."""
     name = text.partition(":")[0]
     if name not in ENGINES:
@@ -64,7 +64,7 @@ def engine_kind(text: str):
     name, _, options = engine_name(text).partition(":")
     module, _, attribute = ENGINES[name].partition(":")
     if name == "warp" and not has_warp():
-        raise UsageError(f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (the extra 'warp').")
+        raise UsageError(f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (extra 'warp').")
     kind = getattr(importlib.import_module(module), attribute)
     return kind, _options(name, kind.options, options)
 
@@ -91,8 +91,9 @@ def _options(name, kind, text):
         try:
             given[field] = fields[field](int(value) if fields[field] is bool else value)
         except ValueError:
-            raise UsageError(f"The engine's option {field} must be of the kind of its default, {getattr(kind(), field)}, "
-                             f"not '{value}'.") from None
+            raise UsageError(
+                f"The engine's option {field} must be of its default's kind, {getattr(kind(), field)}, not '{value}'."
+            ) from None
     try:
         return kind(**given)
     except ValueError as error:

@@ -16,13 +16,14 @@ _UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a l
 
 
 class Engine(Protocol):
-    """`nworld` worlds of a crowd of `number` people. A state is a tree of arrays of its own with a leading axis (nworld,)."""
+    """`nworld` worlds of a crowd of `number` people. Its state is a tree of arrays with a leading axis
+    (nworld,)."""
 
     number: int
     nworld: int
     boxes: Any  #: (B, 5), of all worlds
     shards: bool  #: whether its worlds can lie on several devices of JAX's
-    stacks: bool  #: whether several batches under vmap, as of several seeds, are stepped at once, not one after the other
+    stacks: bool  #: whether batches under vmap, as of several seeds, are stepped at once, not one by one
 
     def init(self, position, yaw) -> Any:
         """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]. Jittable."""
@@ -46,8 +47,9 @@ class Engine(Protocol):
         ...
 
     def check(self) -> None:
-        """Raises EngineOverflow where the engine had too little room for what it has simulated so far; to be called when
-        that has come to its end, as jitted code can't raise."""
+        """Raises EngineOverflow where the engine had too little room for what it has simulated so far.
+
+        To be called when that has come to its end: jitted code can't raise."""
         ...
 
 
@@ -58,6 +60,9 @@ class EngineOverflow(UsageError):
 @dataclasses.dataclass(frozen=True)
 class NoOptions:
     """The options of an engine that has none."""
+
+
+NO_OPTIONS = NoOptions()
 
 
 class FlatState(NamedTuple):
@@ -94,11 +99,11 @@ class CrowdEngine:
     def faults(self, state) -> list[str]:
         """As Engine.faults.
 
-        Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the model's
-        default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
+        Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the
+        model's default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
         """
         speed = np.abs(np.asarray(state.qvel)).max(axis=-1, initial=0.0)
-        finite = np.isfinite(np.asarray(state.qpos)).all(axis=-1)
+        finite = np.asarray(np.isfinite(np.asarray(state.qpos)).all(axis=-1))
         self.check()
         return [
             warned or ("" if good and fast <= DIVERGED else f"somebody moves at {fast:.0f} m/s or rad/s")
@@ -131,7 +136,7 @@ class CrowdEngine:
 
 
 def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
-    """The CrowdState of the first `number` pedestrians in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B, 5)."""
+    """The CrowdState of the first `number` people in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B, 5)."""
     pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
     rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
     position = pose[..., :2]
@@ -139,8 +144,8 @@ def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
 
 
 def repeat(step, carried, number):
-    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes no
-    longer to compile however many steps it has."""
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes
+    no longer to compile however many steps it has."""
     if number > _UNROLLED:
         return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
     for _ in range(number):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from mujoco import mjx
 
-from macid.engines.base import CrowdEngine, NoOptions
+from macid.engines.base import NO_OPTIONS, CrowdEngine
 
 
 class MjxEngine(CrowdEngine):
@@ -12,7 +12,7 @@ class MjxEngine(CrowdEngine):
 
     shards = stacks = True
 
-    def __init__(self, model, number, boxes, nworld, options=NoOptions()):
+    def __init__(self, model, number, boxes, nworld, options=NO_OPTIONS):
         super().__init__(model, number, boxes, nworld)
         self._model = mjx.put_model(model, impl="jax")
 

@@ -6,14 +6,14 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from macid.engines.base import CrowdEngine, FlatState, NoOptions
+from macid.engines.base import NO_OPTIONS, CrowdEngine, FlatState
 from macid.threads import physics_threads
 
 
 class NativeEngine(CrowdEngine):
     """Reached from jitted code by a callback. Worlds of a batch equal the same worlds alone, bit for bit."""
 
-    def __init__(self, model, number, boxes, nworld, options=NoOptions()):
+    def __init__(self, model, number, boxes, nworld, options=NO_OPTIONS):
         super().__init__(model, number, boxes, nworld)
         self._batch = mujoco.batch.Batch(model, nworld, physics_threads())
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")

@@ -1,13 +1,12 @@
 """MuJoCo Warp: the engine for NVIDIA GPUs. It runs on a CPU as well, for tests.
 
-`mjx.put_model(model, impl="warp")` would hand all of a step's 168 fields to the kernels and back at every step: each is a
-buffer of XLA's that is made anew, of some hundred bytes a person and more. Here Warp keeps them; what passes between the
-two at a step is the state and the command.
+MJX's own way there, `mjx.put_model(model, impl="warp")`, hands 168 fields of all worlds from XLA to the kernels and
+back at every step, and makes each anew. Here Warp keeps them, and what passes at a step is the state and the command.
 
-The kernels of a step are captured once, as a graph, when an engine is made, and not when XLA first comes by: within XLA's
-callback Python may collect garbage, and what JAX frees there is forbidden while a CUDA graph is captured, so that the process
-hung. A graph is 30 times as fast as its kernels one by one, on a CPU. On a GPU equal seeds agree to a tolerance, not bit for
-bit: contacts are counted in any order.
+The kernels of a step are captured once, as a graph, when an engine is made, and not when XLA first comes by: within
+XLA's callback Python may collect garbage, and what JAX frees there is forbidden while a CUDA graph is captured, so
+that the process hung. A graph is many times as fast as its kernels one by one. On a GPU equal seeds agree to a
+tolerance, not bit for bit: contacts are counted in any order.
 """
 
 import contextlib
@@ -28,7 +27,7 @@ from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 from macid.engines.base import CrowdEngine, EngineOverflow, FlatState
 from macid.state import parking_place
 
-wp.config.log_level = wp.LOG_ERROR  # at its first use it would tell of itself, and of each kernel that it compiles
+wp.config.log_level = wp.LOG_ERROR  # at its first use Warp tells of itself, and of each kernel that it compiles
 _ROWS = 4  # of a contact's constraints: condim 3 in a pyramid
 _CONTACTS = OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD
 _OVERFLOWS = _CONTACTS | OverflowType.NEFC | OverflowType.NJMAX_NNZ
@@ -41,12 +40,12 @@ _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSO
 class WarpOptions:
     """How MuJoCo Warp simulates; an engine's name may give them: `warp:contacts=4,solver=cg`."""
 
-    contacts: int = 2  # room for contacts, a person: of all worlds together, and four rows of constraints each in every world
-    solver: str = "auto"  # newton, exact within a few iterations, up to MOST_NEWTON people; cg, whose work grows less, beyond
-    iterations: int = 0  # of the solver, at most; 0: ITERATIONS of the solver
-    line_search: int = 16  # iterations of its line search, at most
-    until_done: bool = True  # the solver stops when all worlds are done (a loop in the CUDA graph), not after `iterations`
-    graph: str = "engine"  # a step's graph is captured with the engine; on a GPU also where XLA first comes by ("call"); "none"
+    contacts: int = 2  #: room for contacts, a person: in all worlds together, and as many rows of constraints in each
+    solver: str = "auto"  #: newton (up to MOST_NEWTON people), exact in few iterations; or cg (beyond), cheaper ones
+    iterations: int = 0  #: of the solver, at most; 0: ITERATIONS of the solver
+    line_search: int = 16  #: iterations of its line search, at most
+    until_done: bool = True  #: the solver stops when all worlds are done (a loop in the graph), not after `iterations`
+    graph: str = "engine"  #: when a step's graph is captured: with the engine, at XLA's first "call" (GPU), or "none"
 
     def __post_init__(self):
         for name, least in (("contacts", 1), ("iterations", 0), ("line_search", 1)):
@@ -110,8 +109,10 @@ class WarpEngine(CrowdEngine):
 
     def _step_stacked(self, size, batched, *fields):
         """The same under vmap: the stacks' worlds are worlds of one batch."""
-        whole = [field if is_so else jax.numpy.broadcast_to(field, (size, *field.shape))
-                 for field, is_so in zip(fields, batched, strict=True)]
+        whole = [
+            field if is_so else jax.numpy.broadcast_to(field, (size, *field.shape))
+            for field, is_so in zip(fields, batched, strict=True)
+        ]
         stepped = self._step(*(field.reshape(-1, field.shape[-1]) for field in whole))
         return tuple(field.reshape(whole[0].shape) for field in stepped), (True,) * len(stepped)
 
@@ -146,7 +147,8 @@ class _Batch:
         return capture.graph
 
     def step(self, given, stepped):
-        """`stepped`, (qpos, qvel, qacc_warmstart), is what follows on `given`, these and ctrl: Warp arrays (nworld, 3 K)."""
+        """Writes to `stepped`, (qpos, qvel, qacc_warmstart), what follows on `given`, these and ctrl: arrays of Warp's
+        (nworld, 3 K)."""
         data = self.data
         for own, array in zip((data.qpos, data.qvel, data.qacc_warmstart, data.ctrl), given, strict=True):
             wp.copy(own, array)
@@ -188,13 +190,13 @@ _batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must no
 
 def _step_batch(
     handle: int,
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
-    warmstart: wp.array2d(dtype=float),
-    ctrl: wp.array2d(dtype=float),
-    next_qpos: wp.array2d(dtype=float),
-    next_qvel: wp.array2d(dtype=float),
-    next_warmstart: wp.array2d(dtype=float),
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    warmstart: wp.array2d[float],
+    ctrl: wp.array2d[float],
+    next_qpos: wp.array2d[float],
+    next_qvel: wp.array2d[float],
+    next_warmstart: wp.array2d[float],
 ):
     _batches[handle].step((qpos, qvel, warmstart, ctrl), (next_qpos, next_qvel, next_warmstart))
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 import bson
-from bson import benchmark, robot
+from bson import benchmark
 from bson.agents import learned
 from bson.episodes.session import Session
 from bson.interfaces.device import DeviceWorlds
@@ -97,14 +97,12 @@ def test_equal_commands_lead_to_the_same_places(env):
 
 def _placed(states, session, pose, people=None):
     """Both engines' worlds with the robot at `pose` (3,), and the people at `people` (K, 2), all at rest."""
-    world, k = session.world, session.config.people
-    qpos = np.array(world.engine.qpos)
-    qpos[:, 3 * k : 3 * k + 7] = robot.spawn_qpos(*pose, session.config.robot)
+    world = session.world
+    standing = world.people.copy()
     if people is not None:
-        for axis in range(2):
-            qpos[:, axis : 3 * k : 3] = people[:, axis]
-    world.engine.qpos[:], world.engine.qvel[:] = qpos, 0.0
-    world._sense(np.arange(world.nworld))
+        standing[..., :2] = people
+    world.place(np.arange(world.nworld), pose=np.tile(pose, (world.nworld, 1)), people=standing)
+    qpos = world.qpos.copy()
     zero = jnp.zeros_like(states.motion.qvel)
     motion = states.motion._replace(qpos=jnp.asarray(qpos, jnp.float32), qvel=zero, warmstart=zero)
     return states._replace(motion=motion)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from macid import scene
-from macid.layout import Layout
-from macid.learning import ppo
-from macid.learning import train as train_module
-from macid.learning.train import TrainConfig, Trainer, train
 from macid.contacts import touching
 from macid.crowd import Crowd, CrowdConfig
 from macid.engines import ENGINES, best_engine, engine_kind, make_engine
 from macid.engines.base import EngineOverflow
 from macid.engines.native import NativeEngine
 from macid.files import UsageError
+from macid.layout import Layout
+from macid.learning import ppo
+from macid.learning import train as train_module
+from macid.learning.train import TrainConfig, Trainer, train
 from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, parking_place
 
 STEPS = 100
@@ -212,9 +212,9 @@ def test_without_warp_it_is_told_what_to_install(model, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ("contact=2", "no option 'contact'. Choose one of contacts, "),
+        ("contact=2", "no option 'contact'\\. Choose one of contacts, "),
         ("contacts=0", "contacts must be at least 1, not 0"),
-        ("contacts=many", "contacts must be of the kind of its default, 2, not 'many'"),
+        ("contacts=many", "contacts must be of its default's kind, 2, not 'many'"),
         ("solver=lu", "solver must be one of auto, newton, cg, not 'lu'"),
     ],
 )
@@ -250,7 +250,7 @@ def test_too_little_room_in_warp_is_an_error_that_names_the_option(model, warp):
     engine.check()
     heap = engine.init(np.full((1, NUMBER, 2), 3.0) + 0.01 * AROUND, YAW[:1])  # all touch all: 15 contacts
     jax.block_until_ready(engine.step(heap, jnp.zeros((1, NUMBER, 3))))
-    with pytest.raises(EngineOverflow, match="too little room for contacts: 1 contacts a person.*warp:contacts=2"):
+    with pytest.raises(EngineOverflow, match=r"too little room for contacts: 1 contacts a person.*warp:contacts=2"):
         engine.check()
     warp.engine.check()  # has room for as many
 
