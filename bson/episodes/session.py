@@ -30,6 +30,10 @@ def _give_back():
     trim(0)
 
 
+def _closed():
+    return gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
+
+
 class Session:
     """`nworld` worlds of one configuration and track, each in its own episode."""
 
@@ -48,14 +52,14 @@ class Session:
     def world(self):
         """The World of the present setting. Raises gymnasium.error.ClosedEnvironmentError once closed."""
         if self._world is None:
-            raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
+            raise _closed()
         return self._world
 
     def configure(self, config: TaskConfig):
         """Changes the setting of all worlds; they need a reset then. The last models are kept: the most recent of
         another structure (bson.simulation.scene.structure) takes the place of the oldest."""
         if self._worlds is None:
-            self.world  # tells that it is closed
+            raise _closed()
         key = structure(config)
         world = self._worlds.pop(key, None)
         if world is None:

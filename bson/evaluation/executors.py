@@ -33,7 +33,7 @@ class Play:
 
     agent: Any
     config: TaskConfig
-    track: tuple[Any, Any]  # what make_track takes
+    track: tuple[Any, Any]  # what make_track takes; None for the sensors that the agent brings
     seeds: tuple[int, ...]
     called: str = "agent"
     untrained: bool = False  # whether it may drive in another setting than it was trained in
@@ -59,7 +59,9 @@ def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None
             send((len(episode.pose) - 1, episode))
         return
     make_agent = make_agent or load_agent(job.agent, job.untrained)
-    run_episodes(make_agent, job.config, make_track(*job.track), job.seeds, job.called, _told_by(send))
+    track, sensor = job.track
+    seen = make_track(track, make_agent.sensor if sensor is None else sensor)
+    run_episodes(make_agent, job.config, seen, job.seeds, job.called, _told_by(send))
 
 
 def pair_up(job: Pair, send: Callable[[Any], None]) -> None:
@@ -117,8 +119,8 @@ def carried_agent(agent: Any) -> Carried:
 
 
 def carried_code(name: str, attribute: str = "") -> Carried:
-    """What travels of somebody's own code `name`, as carried_agent has it; nothing of another name. attribute: of a file
-    that is given without one."""
+    """What travels of somebody's own code `name`, as carried_agent has it; nothing of another name. attribute: of a
+    file that is given without one."""
     module, path = own_module(name), pathlib.Path(name.rpartition(":")[0] if ":" in name else name)
     found = getattr(sys.modules.get(module), name.rpartition(":")[2] if ":" in name else attribute, None)
     return carry_module(module, getattr(found, "files", ()), path.parent if path.suffix == ".py" else None)
@@ -196,8 +198,11 @@ def play_cells(
     """
     whole = executor.workers is not None  # all cells at once, elsewhere
 
+    brought = not isinstance(track[1], str) and track[1] is getattr(make_agent, "sensor", None)
+    seen = (track[0], None) if brought else track  # of classes that may be the agent's own
+
     def play_of(cell):
-        return Play(agent, cell.config, track, tuple(seeds), called, untrained, engine)
+        return Play(agent, cell.config, seen, tuple(seeds), called, untrained, engine)
 
     playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()

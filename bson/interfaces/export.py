@@ -236,8 +236,8 @@ _READING = {
 }
 _NOTES = {
     "beams": "`robot/KEY/...` are the beams: for each a site, whose z axis looks along it, and a rangefinder there, "
-    "which reads [m] up to range_max, and -1 where nothing is hit. In 2D the first is the rightmost; in 3D they are rows, "
-    "from the lowest, of columns, from straight back over the robot's right. Where `model.opt.disableflags` has "
+    "which reads [m] up to range_max, and -1 where nothing is hit. In 2D the first is the rightmost; in 3D they are "
+    "rows, from the lowest, of columns, from straight back over the robot's right. Where `model.opt.disableflags` has "
     "`mujoco.mjtDisableBit.mjDSBL_SENSOR` during mj_step, and not in mj_forward, steps are quick.",
     "imu": "`robot/imu_accelerometer` and `robot/imu_gyro`: in the robot's frame, x ahead, y left, z up.",
     "picture": "Cameras have their resolution, field and near plane in the files. Row 0 of a picture is the highest. "
@@ -252,7 +252,7 @@ def _readme(content):
     notes = {_NOTES[kind]: None for kind in kinds.values() if kind}
     if own := [key for key, kind in kinds.items() if kind is None]:
         notes[f"Only the project itself reads {', '.join(own)}."] = None
-    notes["Readings have no noise. A sensor's `noise` in the files is what the project adds, a standard deviation."] = None
+    notes["Readings have no noise; a sensor's `noise` is what the project adds, a standard deviation."] = None
     people, size = content["people"]["number"], content["config"]["map_size"]
     where = f"among {people} people on {size:g} x {size:g} m"
     return _README.format(

@@ -404,8 +404,12 @@ def train_apart(executor, configs, out, resume=False):
 
 def _train_here(configs, out, show):
     """The `train` of a Group (macid.learning.jobs)."""
+
+    def tell(steps, figures, validation=False):
+        show(steps, figures, validation)
+
     for config in configs:
-        train(config, out, resume=True, show=show)
+        train(config, out, resume=True, show=tell)
 
 
 def _expert(config):

@@ -19,8 +19,8 @@ from bson.simulation.faults import DIVERGED
 from bson.simulation.pool import Drawn
 from bson.simulation.scene import build_spec
 from bson.task import TaskConfig, controller
+from macid import contacts as crowd_contacts
 from macid import geometry
-from macid.contacts import touching
 from macid.state import CONTACT_GAP, GOAL_RADIUS, CrowdState
 
 COLLISIONS = ("collisions", *contacts.COUNTERS)
@@ -145,7 +145,7 @@ class BatchedWorld:
             jnp.append(pose[:, 2], body[2]),
             jnp.concatenate([rate[:, :2], speed[None, :2]]),
             jnp.append(rate[:, 2], speed[5]),
-            touching(position, boxes),
+            crowd_contacts.touching(position, boxes),
         )
         # The robot is one more disc; where it wants to go, as far as people can tell.
         goals = jnp.concatenate([self.headings(state), body[None, :2] + speed[None, :2]])

@@ -140,7 +140,7 @@ class _Batch:
         mujoco_warp.step(self._model, self.data)  # loads the kernels
         wp.synchronize_device()
         # Relaxed: nothing that another thread asks of CUDA meanwhile is in the way.
-        with _no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
+        with no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
             mujoco_warp.step(self._model, self.data)
         self.data.overflow.zero_()
         wp.synchronize_device()
@@ -172,7 +172,7 @@ class _Batch:
 
 
 @contextlib.contextmanager
-def _no_collection():
+def no_collection():
     """Nothing is freed by Python's collector meanwhile."""
     gc.collect()
     enabled = gc.isenabled()

@@ -1,6 +1,7 @@
 """Evaluations by the workers of a Ray cluster give what they give in this process, whatever becomes of a worker."""
 
 import dataclasses
+import importlib.util
 import json
 import os
 import pathlib
@@ -15,6 +16,7 @@ import pytest
 
 from bson import benchmark, cli
 from bson.evaluation.executors import carried_agent, carried_task, shares
+from bson.suites import load_suite
 from bson.task import TaskConfig
 from macid.executors import Local, make_executor
 from macid.files import UsageError
@@ -56,11 +58,12 @@ def address(tmp_path_factory):
 
 AGENT = """
 import os, pathlib, signal, sys
-import numpy as np
 import own_helper
+from bson.sensors import Imu
 
 class agent:
     files = ("speed.txt",)
+    sensor = (Imu(), own_helper.Near(beams=90))
 
     def __init__(self):
         self.speed = float((pathlib.Path(__file__).parent / "speed.txt").read_text())
@@ -82,7 +85,15 @@ class agent:
             raise RuntimeError("not today")
         return [self.speed, own_helper.turn(observation)]
 """
-HELPER = "def turn(observation):\n    return 0.3 * float(observation['goal'][1] > 0)\n"
+HELPER = """
+from bson.sensors import Lidar2D
+
+class Near(Lidar2D):
+    pass
+
+def turn(observation):
+    return 0.3 * float(observation["goal"][1] > 0)
+"""
 
 
 @pytest.fixture
@@ -309,3 +320,54 @@ def test_every_seed_is_in_one_share_whatever_the_workers():
             parts = shares(list(range(count)), count, Of(workers))
             assert [seed for part in parts for seed in part] == list(range(count))
             assert all(0 < len(part) <= 16 for part in parts)
+
+
+@pytest.mark.slow
+def test_robots_trained_side_by_side_are_those_trained_here(address, own):
+    pytest.importorskip("stable_baselines3")
+    from bson.learning.train import TrainConfig
+    from macid.policy import read_network
+
+    task = {**QUICK, "goal_distance": (2.0, 5.0), "map_size": 20.0}
+    short = {"num_envs": 2, "validate_episodes": 2, "task": task}
+    configs = [TrainConfig("ppo", seed, 600, **short) for seed in (0, 1)]
+    here = benchmark.train_configs(configs, own / "here")
+    there = benchmark.train_configs(configs, own / "there", executor="ray", ray_address=address)
+    for one, other in zip(here, there, strict=True):
+        (ours, recipe), (theirs, noted) = read_network(one / "policy.npz"), read_network(other / "policy.npz")
+        assert [[a.tobytes() for a in layer] for layer in ours] == [[a.tobytes() for a in layer] for layer in theirs]
+        assert {**recipe, "seconds": 0, "curve": 0} == {**noted, "seconds": 0, "curve": 0}
+        assert {path.name for path in one.iterdir()} == {path.name for path in other.iterdir()}
+    with pytest.raises(UsageError, match="already"):
+        benchmark.train_configs(configs, own / "there", executor="ray", ray_address=address)
+    assert benchmark.train_configs(configs, own / "there", resume=True) == there  # done, wherever that was
+
+
+@pytest.mark.slow
+def test_the_tables_rows_are_the_same_side_by_side(address, own):
+    tools = {}
+    for name in ("reproduce_tables", "reproduce_table3"):
+        if name == "reproduce_table3":
+            pytest.importorskip("stable_baselines3")
+        spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+        tools[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(tools[name])
+    tables, table3 = tools.values()
+    for folder in ("here", "there"):
+        (own / folder).mkdir()
+    policy = ROOT / "assets" / "policies" / "macid-0.npz"
+    asked = [tables.evaluation(file, 1, (0.67, 1.33), 1) for file in ("orca", policy)]
+    suite, wanted = load_suite("paper"), [("goal", {"horizon": 5}), ("stop", {"horizon": 4, "lcf": (0.0, 1.0)})]
+    seeds = suite.drawn(3)
+    with make_executor("ray", address) as executor:
+        tables.play_missing(executor, own / "there", asked)
+        table3.play_missing(executor, own / "there", suite, seeds, wanted)
+    for each in asked:
+        tables.kept(own / "here", each)
+    for agent, changes in wanted:
+        table3.scored(own / "here", agent, suite, seeds, **changes)
+    names = sorted(path.name for path in (own / "here").iterdir())
+    assert len(names) == 4
+    assert names == sorted(path.name for path in (own / "there").iterdir())
+    for name in names:
+        assert json.loads((own / "here" / name).read_text()) == json.loads((own / "there" / name).read_text())

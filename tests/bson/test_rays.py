@@ -13,12 +13,19 @@ from macid.drawing import Unavailable
 CONFIG = TaskConfig(num_pedestrians=20, obstacle_density=0.4, map_size=24.0, goal_distance=(6.0, 15.0))
 
 
+def _body(world):
+    """Where the robot of world 0 is: position (3,) and quaternion (4,), a view."""
+    first = 3 * world.config.people
+    return world.engine.qpos[0, first : first + 7]
+
+
 def _tilted(world, seed):
     """Begins an episode, and tilts the robot by up to some ten degrees."""
     world.reset([0], [seed])
-    turn = np.random.default_rng(seed).uniform(-0.1, 0.1, 4) + world.engine.qpos[0, world._robot_qpos][3:]
-    world.engine.qpos[0, world._robot_qpos.start + 3 : world._robot_qpos.stop] = turn / np.linalg.norm(turn)
-    world._sense(np.array([0]))
+    body = _body(world)
+    turn = np.random.default_rng(seed).uniform(-0.1, 0.1, 4) + body[3:]
+    body[3:] = turn / np.linalg.norm(turn)
+    world.place([0])  # where it is
     return rays.Solids(world.people[0, :, :2].copy(), world.boxes[0], CONFIG.map_size / 2 + 1.0)
 
 
@@ -45,7 +52,7 @@ def test_pictures_are_those_of_opengl():
         pytest.skip("no OpenGL")
     for seed in (1, 2):
         solids = _tilted(world, seed)
-        body = world.engine.qpos[0, world._robot_qpos]
+        body = _body(world)
         w, x, y, z = body[3:]
         frame = np.array(
             [

@@ -93,6 +93,13 @@ class PlainEngine:
 # The seam.
 
 
+def _step_and_stop(session, action):
+    """A step that is put back."""
+    with session.whole():
+        session.step([0, 1], action)
+        raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("model", ["macid", "social-force"])
 def test_a_second_engine_plays_the_same_episodes(model):
     config = TaskConfig(**SMALL, pedestrian_model=model, obstacle_density=0.3)
@@ -108,9 +115,8 @@ def test_a_second_engine_plays_the_same_episodes(model):
     np.testing.assert_allclose(native.world.qpos, plain.world.qpos, atol=1e-9)
     assert np.array_equal(native.world.collisions, plain.world.collisions)
     copied = copy.deepcopy(plain)
-    with pytest.raises(KeyboardInterrupt), plain.whole():  # put back as it was
-        plain.step([0, 1], action)
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        _step_and_stop(plain, action)
     for session in (native, plain, copied):
         session.step([0, 1], action)
         np.testing.assert_allclose(native.world.qpos, session.world.qpos, atol=1e-9)
@@ -142,14 +148,18 @@ def test_who_is_placed_is_there_and_moves_as_told():
     world.place([0, 2], pose=pose, people=people, velocity=[[1.5, 0.0], [0.5, -1.0]], people_velocity=walking)
     np.testing.assert_allclose(world.pose[[0, 2]], pose, atol=1e-12)
     np.testing.assert_allclose(world.velocity[[0, 2]], [[1.5, 0.0], [0.5, -1.0]], atol=1e-12)
-    assert np.array_equal(world.people[[0, 2]], people) and np.array_equal(world.people_velocity[[0, 2]], walking)
+    assert np.array_equal(world.people[[0, 2]], people)
+    assert np.array_equal(world.people_velocity[[0, 2]], walking)
     np.testing.assert_allclose(world.distance[[0, 2]], norm(world.goal[[0, 2]] - pose[:, :2]))
-    assert np.array_equal(world.qpos[1], before[1]) and np.array_equal(world.readings["lidar"][1], lidar[1])
-    assert (world.readings["lidar"][[0, 2]] != lidar[[0, 2]]).any(axis=-1).all() and not world.travelled.any()
+    assert np.array_equal(world.qpos[1], before[1])
+    assert np.array_equal(world.readings["lidar"][1], lidar[1])
+    assert (world.readings["lidar"][[0, 2]] != lidar[[0, 2]]).any(axis=-1).all()
+    assert not world.travelled.any()
     world.step([0], [[1.5, 0.0]])
     assert world.travelled[0] == pytest.approx(0.15, rel=0.05)  # it need not speed up first
     world.place([0])
-    assert np.array_equal(world.velocity[0], [0.0, 0.0]) and not world.people_velocity[0].any()
+    assert np.array_equal(world.velocity[0], [0.0, 0.0])
+    assert not world.people_velocity[0].any()
     wrong = (("pose", [[0, 0]]), ("people", np.zeros((1, 3, 3))), ("velocity", [[np.nan, 0]]), ("pose", "here"))
     for name, value in wrong:
         with pytest.raises(ValueError, match=f"{name} must be finite numbers of shape"):
@@ -183,15 +193,18 @@ def test_a_world_its_info_and_its_episodes_have_what_the_table_says():
     sides = {"K": 5, "B": world.model.nmocap, "nq": world.model.nq}
     for each in QUANTITIES:
         now, shape = getattr(world, each.name), tuple(sides.get(side, side) for side in each.shape)
-        assert now.shape == (2, *shape) and now.dtype == (object if each.kind is str else each.kind), each.name
+        assert now.shape == (2, *shape), each.name
+        assert now.dtype == (object if each.kind is str else each.kind), each.name
         if each.info:
             assert np.array_equal(info[each.name], now[1:])
         if each.each:
             rows = getattr(episode, each.each)
-            assert rows.shape == (4, *shape) and np.array_equal(rows[-1], now[1])
+            assert rows.shape == (4, *shape)
+            assert np.array_equal(rows[-1], now[1])
         if each.last:
             end = getattr(episode, each.last)
-            assert np.array_equal(end, now[1]) and isinstance(end, np.ndarray if shape else each.kind)
+            assert np.array_equal(end, now[1])
+            assert isinstance(end, np.ndarray if shape else each.kind)
             assert f"- {each.last}: " in Episode.__doc__
     assert len({each.name for each in QUANTITIES}) == len(QUANTITIES)
 

@@ -9,10 +9,8 @@ during a capture.
 A step agrees with MuJoCo's own to a tolerance, not bit for bit, and on a GPU two runs agree no better than that.
 """
 
-import contextlib
 import dataclasses
 import functools
-import gc
 import itertools
 import logging
 import threading
@@ -25,6 +23,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from macid.engines import WARP_PACKAGE, has_warp
 from macid.files import UsageError
 
 SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
@@ -65,12 +64,14 @@ class Motion(NamedTuple):
 @functools.cache
 def _warp():
     """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
-    try:
-        import warp
-    except ImportError:
-        raise UsageError("The engine 'warp' needs warp-lang: pip install 'bson-macid[warp]'.") from None
-    warp.config.log_level = logging.ERROR  # it would tell of itself, and of each kernel that it compiles
+    if not has_warp():
+        raise UsageError(
+            f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (the extra 'warp')."
+        )
+    import warp
     from mujoco.mjx.third_party import mujoco_warp
+
+    warp.config.log_level = logging.ERROR  # it would tell of itself, and of each kernel that it compiles
 
     floats, vectors, quaternions = (warp.array(dtype=kind, ndim=2) for kind in (float, warp.vec3, warp.quat))
     given = dict.fromkeys(("qpos", "qvel", "warmstart", "ctrl"), floats)
@@ -253,8 +254,10 @@ class _Batch:
         """The CUDA graph of act(model, data)."""
         act(model, self._data)  # loads the kernels
         self._warp.synchronize_device()
+        from macid.engines.warp import no_collection
+
         relaxed = self._warp.CaptureMode.RELAXED
-        with _no_collection(), self._warp.ScopedCapture(capture_mode=relaxed) as capture:
+        with no_collection(), self._warp.ScopedCapture(capture_mode=relaxed) as capture:
             act(model, self._data)
         self._warp.synchronize_device()
         return capture.graph
@@ -289,19 +292,6 @@ class _Batch:
             else:
                 self._warp.capture_launch(self._forward)
             self._warp.copy(sensordata, self._data.sensordata)
-
-
-@contextlib.contextmanager
-def _no_collection():
-    """Nothing is freed by Python's collector meanwhile."""
-    gc.collect()
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 # Of Warp's OverflowType: what loses contacts or rows (a solver that stops at its limit loses nothing).
