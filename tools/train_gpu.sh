@@ -16,7 +16,7 @@ python=${PYTHON:-python3} seeds=${SEEDS:-7} steps=${STEPS:-30e6} together=${TOGE
 methods=${METHODS:-macid ipo copo macid-touch macid-tri mfpo}
 runs=${RUNS:-$out/runs}
 mkdir -p "$out/policies" "$runs"
-export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1
+export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1 MUJOCO_GL=${MUJOCO_GL:-disable}
 export XLA_PYTHON_CLIENT_MEM_FRACTION=${XLA_PYTHON_CLIENT_MEM_FRACTION:-$("$python" -c "print(0.55 / $together)")}
 end=$(($(date +%s) + seconds))
 
