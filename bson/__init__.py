@@ -2,7 +2,7 @@
 
 import gymnasium as _gymnasium
 
-from macid import forks as _forks
+from macid import forks as _forks  # noqa: F401  (it notes what a process forked from here on has lost)
 
 ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
     f"BSON/{track.capitalize()}{name}-v0": {"track": track, "sensor": name.lower()}

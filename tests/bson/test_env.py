@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import bson
+import bson  # noqa: F401  (registers the environments)
 from bson import ENVIRONMENTS
 from bson.env import BsonEnv, BsonVectorEnv
 from bson.metrics import GAMMA
