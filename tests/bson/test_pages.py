@@ -187,7 +187,7 @@ def test_every_command_of_the_pages_is_one():
             tool = (ROOT / words[0]).read_text()
             assert all(f'"{flag}"' in tool for flag in words if flag.startswith("--")), (page, words)
         else:
-            assert program in ("source", "pip", "git") or (ROOT / program).is_file(), (page, program)
+            assert program in ("source", "pip", "git", "ray") or (ROOT / program).is_file(), (page, program)
     assert {"bson", "macid", "python", "tools/demo.sh"} <= seen
 
 
