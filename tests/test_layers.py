@@ -17,8 +17,9 @@ MACID = (
     "pedestrians engines drawing",
     "crowd forks",
     "learning export",
-    "evaluate parallel_env",
+    "evaluate",
     "watch",
+    "parallel_env",
     "bench benchmark command",
     "cli",
 )
