@@ -1,0 +1,4 @@
+# MuJoCo's Python package has no types: for pyright everything in it is Any.
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
