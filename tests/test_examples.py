@@ -1,4 +1,5 @@
-"""What users bring: tests/examples run as their first lines say, and what is wrong with one's own is told in one line."""
+"""What users bring: tests/examples run as their first lines say, and what is wrong with one's own is told in one
+line."""
 
 import json
 import pathlib

@@ -1,5 +1,6 @@
-"""Writes the frozen levels that are drawn from seeds to assets/layouts: the paper's four (Fig. 1, sec. IV-A), lv1 to lv4,
-the four for validation, v1 to v4, and three of other kinds. (foyer, crossroads and furnished were drawn by hand.)"""
+"""Writes the frozen levels that are drawn from seeds to assets/layouts: the paper's four (Fig. 1, sec. IV-A), lv1 to
+lv4, the four for validation, v1 to v4, and three of other kinds. (foyer, crossroads and furnished were drawn by
+hand.)"""
 
 import pathlib
 

@@ -104,7 +104,8 @@ def find_policies(configs, *folders):
 
 def train_missing(configs, found, folder, executor=None, engine="native"):
     """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds: side by
-    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster so."""
+    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster
+    so."""
     kind, _ = engine_kind(engine)
     todo = [
         replace(config, seed=seed, engine=engine)

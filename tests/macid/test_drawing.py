@@ -1,4 +1,5 @@
-"""Colours of LCFs; and what the user is told where nothing can be drawn. (Films themselves: test_watch, bson's test_film.)"""
+"""Colours of LCFs; and what the user is told where nothing can be drawn. (Films themselves: test_watch, bson's
+test_film.)"""
 
 import contextlib
 import os

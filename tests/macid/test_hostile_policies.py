@@ -38,7 +38,8 @@ files = st.tuples(array_files(WEIGHTS), st.just(GOOD[1])) | st.tuples(st.just(GO
 
 
 def ends_well(folder, content):
-    """Writes a policy's two files and uses it: whether it was taken. What is refused is told of in a line that names it."""
+    """Writes a policy's two files and uses it: whether it was taken. What is refused is told of in a line that names
+    it."""
     path = folder / "theirs.npz"
     path.write_bytes(content[0])
     path.with_suffix(".json").write_bytes(content[1])
@@ -80,10 +81,9 @@ def test_twenty_thousand_policies_are_read_or_refused_in_one_line(tmp_path):
 def test_the_good_one_is_taken_and_its_finds_are_told(tmp_path):
     assert ends_well(tmp_path, GOOD)
     bomb = io.BytesIO()
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
-        with archive.open("weight0.npy", "w") as member:
-            for _ in range(80):
-                member.write(bytes(1 << 20))
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("weight0.npy", "w") as member:
+        for _ in range(80):
+            member.write(bytes(1 << 20))
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (43, 1000000000), }".ljust(117) + b"\n"
     declared = b"\x93NUMPY\x01\x00v\x00" + header
     large = io.BytesIO()

@@ -30,7 +30,8 @@ COMMANDS = {
 
 
 def used(pid):
-    """Seconds of CPU time of a process so far; None once it has ended. Delays by it don't depend on the machine's load."""
+    """Seconds of CPU time of a process so far; None once it has ended. Delays by it don't depend on the machine's
+    load."""
     try:
         fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -39,8 +40,8 @@ def used(pid):
 
 
 def interrupt(command, delay, folder):
-    """Runs a command's process, sends it one SIGINT after `delay` [s of its CPU time]; its exit code and stderr, or None if it
-    had ended by then."""
+    """Runs a command's process, sends it one SIGINT after `delay` [s of its CPU time]; its exit code and stderr, or
+    None if it had ended by then."""
     program = command.split()[0]
     code = f"import sys; from macid.start import {program}; sys.argv[0] = {program!r}; sys.exit({program}())"
     words = [sys.executable, "-c", code, *COMMANDS[command]]
@@ -100,9 +101,8 @@ def interrupt_myself():
 
 def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_not():
     before, kept = signal.getsignal(signal.SIGINT), False
-    with start.deferred(lambda: kept) as interrupted:
-        with pytest.raises(KeyboardInterrupt):
-            interrupt_myself()
+    with start.deferred(lambda: kept) as interrupted, pytest.raises(KeyboardInterrupt):
+        interrupt_myself()
     with start.deferred(lambda: kept) as interrupted:
         kept = True
         assert not interrupted()

@@ -22,8 +22,8 @@ SPEC.loader.exec_module(tables)
 
 @pytest.fixture
 def made_up(tmp_path, monkeypatch):
-    """A folder with macid's seeds 0 and 1, and rows in which SR10 is 10 x level, and 2 more for seed 1; who was evaluated
-    with which LCFs."""
+    """A folder with macid's seeds 0 and 1, and rows in which SR10 is 10 x level, and 2 more for seed 1; who was
+    evaluated with which LCFs."""
     asked = []
 
     def row(pedestrian, level, episodes, config):

@@ -1,4 +1,5 @@
-"""Films of crowds show what happened: people in their LCF's colour where the map says, until they leave; whole on disk."""
+"""Films of crowds show what happened: people in their LCF's colour where the map says, until they leave; whole on
+disk."""
 
 import dataclasses
 import os
