@@ -32,12 +32,12 @@ _MOST_DEEP = 100  # brackets in brackets of YAML
 _MOST_PARTS = 64  # parts of a dotted key: tomllib's time grows with their square
 
 
-def number(description: str, **bounds: float) -> Any:
+def number(description: str, **bounds: Any) -> Any:
     """The type of a number within `bounds` (as msgspec.Meta has them), for which messages say `description`. A whole
     number stays whole, as digests have it."""
     rounded = {key: math.ceil(bound) if key in ("ge", "lt") else math.floor(bound) for key, bound in bounds.items()}
-    whole, real = (msgspec.Meta(description=description, **each) for each in (rounded, bounds))
-    return typing.Annotated[int, whole] | typing.Annotated[float, real]
+    whole, real = ({"description": description, **each} for each in (rounded, bounds))
+    return typing.Annotated[int, msgspec.Meta(**whole)] | typing.Annotated[float, msgspec.Meta(**real)]
 
 
 def shown(value: Any) -> str:

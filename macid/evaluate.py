@@ -153,8 +153,7 @@ def measure_knob(
     """How a learned model's LCF works on one level: a dict of
 
     - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in
-    which
-      everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
+      which everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
     - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: for each section, the mean
       collision steps of people whose own LCF is of it; `own_people`, how many people these are; `own_CP_rank`.
 

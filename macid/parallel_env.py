@@ -5,7 +5,7 @@ import dataclasses
 import numbers
 import types
 import warnings
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import jax
@@ -66,7 +66,8 @@ class CrowdParallelEnv(ParallelEnv):
     Raises ValueError for unknown names and values outside their domain.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "macid_crowd_v0", "render_modes": []}
+    # PettingZoo has it as an attribute of instances.
+    metadata: dict[str, Any] = {"name": "macid_crowd_v0", "render_modes": []}  # noqa: RUF012
     render_mode = None
     # None once the environment is closed, and most of them before the first reset; _check_usable and _check_begun tell.
     crowd: Any  #: a macid.crowd.Crowd

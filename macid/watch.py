@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from macid import drawing, geometry, metrics, scene
-from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
 from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.evaluate import level_name, level_seed
 from macid.files import UsageError

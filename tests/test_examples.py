@@ -58,7 +58,8 @@ def test_a_sensor_reads_where_the_nearest_person_is(here):
 
 
 def test_pedestrians_walk_in_both_commands(here):
-    content = scored(here, "--agent", "goal", "--suite", "smoke", "--set", "pedestrian_model=own_pedestrian.py:KeepRight")
+    setting = "pedestrian_model=own_pedestrian.py:KeepRight"
+    content = scored(here, "--agent", "goal", "--suite", "smoke", "--set", setting)
     assert content["config"]["pedestrian_model"] == "own_pedestrian.py:KeepRight"
     words = ["--pedestrian", "own_pedestrian.py:KeepRight", "--levels", "1", "--episodes", "1"]
     assert macid.cli.main(["evaluate", *words, "--out", "walk.json"]) == 0

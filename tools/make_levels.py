@@ -14,6 +14,7 @@ FOLDER = pathlib.Path(__file__).resolve().parent.parent / "assets" / "layouts"
 
 
 def main():
+    """Writes all of them."""
     for level, people in PEOPLE.items():
         write(f"lv{level}", f"Lv.{level}", level, people)
         write(f"v{level}", f"validation {level}", 100 + level, people)

@@ -151,7 +151,7 @@ class Board:
 
     def write(self, row):
         """Adds `row`, {name: number}, and writes it to the disk."""
-        if self._writer is None:
+        if not self._writer:
             self._open()
         self._add(row)
         self._writer.flush()

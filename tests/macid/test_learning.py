@@ -70,7 +70,8 @@ def test_coordinated_advantage_is_eq_2_standardised():
         (methods.linear, own + lcf * others),
         (methods.trigonometric, jnp.cos(lcf) * own + jnp.sin(lcf) * others),
     ):
-        np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination, False), expected, atol=1e-6)
+        plain = ppo.coordinated_advantage(own, others, lcf, coordination, False)
+        np.testing.assert_allclose(plain, expected, atol=1e-6)
         expected = (expected - expected.mean()) / expected.std()
         np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination), expected, atol=1e-5)
 

@@ -69,7 +69,7 @@ def test_observations_stay_in_their_space_and_last_ones_are_from_the_goal(env, c
             actions = {agent: env.action_space(agent).sample() for agent in env.agents}
         else:
             actions = towards_goals(observations)
-        observations, rewards, terminations, truncations, infos = env.step(actions)
+        observations, _, terminations, truncations, _ = env.step(actions)
         for agent, seen in observations.items():
             assert env.observation_space(agent).contains(seen)
             assert (np.hypot(*seen[:2]) <= 0.5) == terminations[agent]

@@ -114,7 +114,8 @@ def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_n
 
 
 def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypatch):
-    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=PRESETS["fast"]["ppo"])  # 3 iterations
+    fast = PRESETS["fast"]["ppo"]
+    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=fast)  # 3 iterations
     arrived, fetch = [], jax.device_get
 
     def interrupted(logs):
@@ -123,9 +124,10 @@ def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypat
             interrupt_myself()
         return fetch(logs)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr(jax, "device_get", interrupted)
-        train(config, tmp_path, show=lambda line: None)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path, show=lambda line: None)
     (rows,) = tmp_path.rglob("curve.csv")
     assert rows.read_text().count("\n") == 3 and len(arrived) == 2  # a header and two iterations
     assert list(tmp_path.rglob("checkpoint*")) and not list(tmp_path.rglob("policy*"))
