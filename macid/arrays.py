@@ -7,6 +7,7 @@ which the file declares are within bounds.
 import io
 import json
 import math
+import os
 import re
 import zipfile
 import zlib
@@ -40,7 +41,7 @@ def pack(arrays: Mapping[str, np.ndarray], documents: Mapping[str, Any] | None =
     return buffer.getvalue()
 
 
-def unpack(file: BinaryIO, most: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def unpack(file: BinaryIO | str | os.PathLike[str], most: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """What `pack` or numpy.savez wrote to `file` (a path, or an open binary file): ({name: array}, {name: document}).
 
     most: the bytes that all arrays and documents may have together, unpacked. Raises DamagedError, and OSError where

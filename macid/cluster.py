@@ -340,7 +340,7 @@ def _unpacked(bundle):
                     del sys.modules[name]
 
 
-def moved(value: Any, files: Mapping[str, str], root: str) -> Any:
+def moved(value: Any, files: Mapping[str, Any], root: str) -> Any:
     """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):

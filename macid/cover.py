@@ -16,7 +16,7 @@ _POCKET = 1.0  # area in which nobody needs to walk [m2]
 def runs(solid: np.ndarray) -> int:
     """The number of runs of solid cells along rows in the grid `solid` (rows, columns) bool; `exact` takes time and
     memory for each."""
-    return np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0])
+    return int(np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0]))
 
 
 def exact(solid: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def _fill(cells, found):
         cells[y0:y1, x0:x1] = True
 
 
-def _coarser(solid, grain):
+def _coarser(solid: np.ndarray, grain: int) -> np.ndarray:
     """The grid of blocks of `grain` x `grain` cells: solid where a cell is."""
     rows, columns = (-(-length // grain) * grain for length in solid.shape)
     padded = np.ones((rows, columns), bool)

@@ -160,7 +160,7 @@ def _close_all():
         stage.close()
 
 
-def lcf_colour(lcf: ArrayLike) -> np.ndarray:
+def lcf_colour(lcf: float | np.ndarray) -> np.ndarray:
     """The colour of each `lcf` (...), RGB (..., 3) in [0, 1]: red if adversarial (-2), pale yellow at 0, blue at 2."""
     stops = np.linspace(*LCF_RANGE, len(LCF_STOPS))
     return np.stack([np.interp(lcf, stops, channel) for channel in LCF_STOPS.T], axis=-1)

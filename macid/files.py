@@ -257,7 +257,9 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
 
 
 @contextlib.contextmanager
-def lock_folder(path: str | os.PathLike[str], files: Iterable[str] = (), alone: Iterable[str] = ()) -> Iterator[None]:
+def lock_folder(
+    path: str | os.PathLike[str], files: Iterable[str] = (), alone: Iterable[str] = ()
+) -> Iterator[pathlib.Path]:
     """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
 
     files: the names of the files that will be written there, which are checked. Half-written files of killed runs are
@@ -434,7 +436,7 @@ def run_command(program: str, main: Callable[[], int]) -> int:
         try:
             code = _answer(program, main)
         except SystemExit as end:  # of the parser, after its help
-            ended, code = end, end.code
+            ended, code = end, int(bool(end.code))
         output.flush()
         errors.flush()
         if not code and output.problem:

@@ -5,6 +5,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 
+from macid.geometry import Array
+
 
 def success_rate(arrived: ArrayLike, collisions: ArrayLike, tolerated: int = 10) -> float:
     """SR_n [%]: the share of people who arrived and collided in fewer than `tolerated` (n) steps of 0.02 s.
@@ -14,7 +16,7 @@ def success_rate(arrived: ArrayLike, collisions: ArrayLike, tolerated: int = 10)
     return 100.0 * float(np.mean(np.asarray(arrived) & (np.asarray(collisions) < tolerated)))
 
 
-def collision_penalty(collisions: ArrayLike) -> float:
+def collision_penalty(collisions: Array) -> float:
     """CP: steps of 0.02 s in which a person touches somebody or something, per person and episode."""
     return float(np.mean(collisions))
 

@@ -144,11 +144,11 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
         forks.refuse()
 
-    def observation_space(self, agent: str) -> gymnasium.spaces.Box:
+    def observation_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (41,) of `agent`; unbounded where contacts can push people faster than they walk."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> gymnasium.spaces.Box:
+    def action_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (2,) of `agent`."""
         return self.action_spaces[agent]
 

@@ -228,7 +228,7 @@ class Router:
             joined[row] = lines_are_free(starts[row], goals[row, None], self._boxes, self.radius)[0]
         return joined
 
-    def path(self, start: ArrayLike, goal: ArrayLike) -> np.ndarray:
+    def path(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Waypoints (W, 2) [m] from `start` (2,) to `goal` (2,), the goal last, pulled straight where the view is free.
 
         Raises macid.layout.NoFreeSpace when the goal can't be reached.

@@ -32,6 +32,8 @@ class _Interrupts:
     process.
     """
 
+    worth: "Callable[[], bool] | None"
+
     def __init__(self, program):
         self.program, self.came, self.raised, self.raises, self.worth = program, 0, False, False, None
 
