@@ -86,7 +86,7 @@ def _coarser(solid: np.ndarray, grain: int) -> np.ndarray:
     rows, columns = (-(-length // grain) * grain for length in solid.shape)
     padded = np.ones((rows, columns), bool)
     padded[: solid.shape[0], : solid.shape[1]] = solid
-    return padded.reshape(rows // grain, grain, columns // grain, grain).any(axis=(1, 3))
+    return np.asarray(padded.reshape(rows // grain, grain, columns // grain, grain).any(axis=(1, 3)))
 
 
 def _scaled(found, grain, shape):
