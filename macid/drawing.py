@@ -354,8 +354,8 @@ class Stage(Offscreen):
         self, page: np.ndarray, view: Sequence[float], centre: Iterable[float] | None = None, reach: float | None = None
     ) -> None:
         """Draws into the page's rectangle `view`, with shadows up to `reach` [m] around `centre` where given."""
-        context = self._context
-        assert context is not None  # until `close`
+        opened, context = self.current(), self._context  # raises ValueError once closed
+        assert context is not None
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = centre is not None
         if centre is not None:
             context.shadowClip = reach
@@ -365,7 +365,7 @@ class Stage(Offscreen):
         left, top, width, height = self.rect(view)
         rect = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), np.uint8)
-        with self.current():
+        with opened:
             mujoco.mjr_render(rect, self.scene, context)
             mujoco.mjr_readPixels(pixels, None, rect, context)
         page[top : top + height, left : left + width] = pixels[::-1]

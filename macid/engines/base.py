@@ -140,8 +140,7 @@ class CrowdEngine:
 
 
 def read_crowd(qpos: Array, qvel: Array, number: int, boxes: Array) -> CrowdState:
-    """The CrowdState of the first `number` people in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B,
-    5)."""
+    """The CrowdState of the first `number` people of `qpos` (..., nq), `qvel` (..., nv) among `boxes` (..., B, 5)."""
     pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
     rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
     position = pose[..., :2]

@@ -109,8 +109,7 @@ def init_parameters(
     mean_field: bool = False,
     size: int = FEATURES,
 ) -> dict[str, Any]:
-    """The policy network and a value network for each of `critics`, all fed `size` numbers of what is seen, and the
-    LCF."""
+    """The policy network and a value network for each of `critics`. Their inputs are `size` numbers and the LCF."""
     key_policy, *key_critics = jax.random.split(key, 1 + len(critics))
     seen = size + 1
     critic = seen + (size + ACTIONS if mean_field else 0)

@@ -104,8 +104,7 @@ class TrainConfig:
 
     @property
     def name(self) -> str:
-        """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo",
-        "macid-10hz"."""
+        """The method, and what sets this apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
         presets = [
             name
             for name, fields in PRESETS.items()
@@ -183,8 +182,7 @@ def _figures(walk):
 
 
 class Trainer:
-    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several
-    stacked.
+    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of stacked ones.
 
     devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the
     seeds, which then run apart. Raises ValueError where it can't.
