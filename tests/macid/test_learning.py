@@ -309,7 +309,7 @@ def test_the_papers_preset_is_the_papers():
     assert (preset("paper-ppo").ppo.batch, preset("paper-ppo").ppo.epochs) == (128, 10)
     assert (preset("paper-batch").ppo.batch, preset("paper-batch").ppo.epochs) == (2048, 5)
     assert preset("paper-batch", method="ipo").name == "ipo-paper-batch"
-    with pytest.raises(ValueError, match="fast, paper, paper-batch, paper-ppo"):
+    with pytest.raises(ValueError, match="fast, gpu, paper, paper-batch, paper-ppo"):
         preset("papers")
 
 
