@@ -420,10 +420,10 @@ def train(
     """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
     - 1.
 
-    algo: of bson.learning.train.ALGORITHMS, or one's own, `file.py:class`; preset: of PRESETS. steps: of all worlds. worlds: at once. overrides:
-    fields of TaskConfig that are changed. resume: goes on from checkpoints. executor, ray_address, workers: see
-    macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises UsageError, also where the extra
-    `agents` is missing.
+    algo: of bson.learning.train.ALGORITHMS, or one's own, `file.py:class`; preset: of PRESETS. steps: of all worlds.
+    worlds: at once. overrides: fields of TaskConfig that are changed. resume: goes on from checkpoints. executor,
+    ray_address, workers: see macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises
+    UsageError, also where the extra `agents` is missing.
     """
     with agents_extra():
         from bson.learning.train import TrainConfig, hyperparameters

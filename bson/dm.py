@@ -17,8 +17,8 @@ from macid.drawing import close_before_all_else
 
 
 def _import_dm_control():
-    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL is
-    missing, without pictures. (It would try GLFW first, which needs a display.)"""
+    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL
+    is missing, without pictures. (It would try GLFW first, which needs a display.)"""
 
     def wanted():
         from dm_control.mujoco import Physics

@@ -103,7 +103,8 @@ def _trial():
 
 
 def _read(cameras):
-    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be right."""
+    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be
+    right."""
     import numpy as np
 
     from bson.sensors import Camera

@@ -90,8 +90,8 @@ def _rebuilt(kind, arguments):
 
 
 class Rebuilt:
-    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play on
-    equally; what it draws with is left out."""
+    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play
+    on equally; what it draws with is left out."""
 
     _not_copied = ()
 
@@ -276,8 +276,8 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec` gives
-    bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec`
+    gives bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
     `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
@@ -359,7 +359,8 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         return self._session.observe(self._all), self._infos(self._all)
 
     def step(self, actions):
-        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next instead."""
+        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next
+        instead."""
         actions = checked_action(actions, (self.num_envs, 2))
         reward = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)

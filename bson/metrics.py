@@ -195,11 +195,13 @@ METRICS = (
 
 
 def _own(found, name):
-    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring says
-    what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
+    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring
+    says what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
     if not isinstance(found, Metric):
         if not callable(found):
-            raise UsageError(f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}.")
+            raise UsageError(
+                f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}."
+            )
         called = getattr(found, "__name__", type(found).__name__)
         what = " ".join((found.__doc__ or "a metric of one's own").split())
         found = Metric(called, "own", getattr(found, "unit", ""), getattr(found, "better", ""), found, what)
@@ -224,7 +226,8 @@ METRIC_KIND: Kind[Metric] = Kind("metric", {metric.name: metric for metric in ME
 
 
 def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
-    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is wrong."""
+    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is
+    wrong."""
     found = [METRIC_KIND.own_object(name) for name in names]
     called = [metric.name for metric in found]
     if twice := {name for name in called if called.count(name) > 1}:

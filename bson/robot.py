@@ -1,5 +1,5 @@
-"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that a
-drive description and an MJCF or URDF model tell of.
+"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that
+a drive description and an MJCF or URDF model tell of.
 
 A command is `(v, w)`: speed ahead [m/s] and yaw rate [rad/s], counter-clockwise. A pose is `(x, y, yaw)` in the world
 frame, that of the robot's base: x ahead, y left, z up, its origin the middle of the footprint.
@@ -21,10 +21,11 @@ A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
 | footprint.bottom, .top | that box's height above the ground [m], unless the model has a geom `hull` of its own |
 | mounts.NAME.position, .rpy | a place for a sensor in the base's frame [m], roll, pitch and yaw [rad] if it is turned |
 
-Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a sensor's
-`site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it (masses,
-inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as casters do; people and walls
-touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the Jackal's (robots/jackal.xml).
+Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a
+sensor's `site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it
+(masses, inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as
+casters do; people and walls touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the
+Jackal's (robots/jackal.xml).
 """
 
 import dataclasses
@@ -402,7 +403,9 @@ def _read_robot(name):
 
 
 ROBOTS: Kind["Robot"] = Kind("robot", shipped=robot_names, read=_read_robot, files=(".toml",))
-_EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+_EXPAND = (
+    " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+)
 _CURES = {
     ".xacro": _EXPAND,
     **dict.fromkeys((".urdf", ".xml"), " A model needs a .toml description beside it (docs: bson.robot)."),
@@ -428,8 +431,8 @@ def _model(path, fields):
 
 
 def robot_config(value):
-    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed of
-    the description `name` (of the Jackal's without). Raises ValueError."""
+    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed
+    of the description `name` (of the Jackal's without). Raises ValueError."""
     names = [field.name for field in dataclasses.fields(RobotConfig)]
     if isinstance(value, RobotConfig):
         load_robot(value.name)
@@ -490,9 +493,7 @@ def _load(name, path, changed, _model_changed):
         right=tuple(drive.right),
         motor=None if drive.gain is None else (drive.gain, drive.max_torque),
         height=None if footprint.top is None else (footprint.bottom, footprint.top),
-        mounts=tuple(
-            (mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()
-        ),
+        mounts=tuple((mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()),
         digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
     try:
@@ -504,8 +505,8 @@ def _load(name, path, changed, _model_changed):
 
 
 def _refuse_odd_models(content, folder, depth=0):
-    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no reader
-    or no room for."""
+    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no
+    reader or no room for."""
     if depth > _MOST_INCLUDES:
         raise ValueError(f"its <include>s are nested more than {_MOST_INCLUDES} deep.")
     if b"<xacro:" in content:
@@ -547,8 +548,8 @@ def _quaternion(rpy):
 
 
 def _forwards(robot):
-    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that can't
-    be built, or whose wheels are not left and right on axles across it."""
+    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that
+    can't be built, or whose wheels are not left and right on axles across it."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()

@@ -244,9 +244,9 @@ class Spawn(typing.NamedTuple):
 def spawn(config: TaskConfig, rng) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
-    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and head
-    for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in which
-    the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
+    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and
+    head for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in
+    which the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
     """
     if config.map is None:
         layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)
@@ -272,8 +272,8 @@ def spawn(config: TaskConfig, rng) -> Spawn:
 
 
 def stops(layout, person, place, goal):
-    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its route,
-    if the map has routes."""
+    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its
+    route, if the map has routes."""
     if not layout.routes:
         return goal[None]
     return rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
@@ -356,7 +356,8 @@ def _people_ends(config, layout, rng, robot, router):
 
 
 def ways_checker(config, router):
-    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s own.
+    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s
+    own.
 
     None where people can walk anywhere: on an open map, and in a maze, all of which is joined.
     """

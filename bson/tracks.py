@@ -51,7 +51,8 @@ class LocalTrack:
 
 @dataclasses.dataclass(frozen=True)
 class GlobalTrack(LocalTrack):
-    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people are."""
+    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people
+    are."""
 
     def space(self, config):
         """The observation space of one world."""
@@ -107,9 +108,13 @@ def _own_track(found, name):
 
 def _own_sensors(found, name):
     """Somebody's own sensors: one, a class of one, or a tuple of these."""
-    chosen = [each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])]
+    chosen = [
+        each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])
+    ]
     if not chosen or not all(isinstance(each, Sensor) for each in chosen):
-        raise UsageError(f"Sensor '{name}' must be a bson.sensors.Sensor, its class, or a tuple of these, not {shown(found)}.")
+        raise UsageError(
+            f"Sensor '{name}' must be a bson.sensors.Sensor, its class, or a tuple of these, not {shown(found)}."
+        )
     return tuple(chosen)
 
 
@@ -127,8 +132,8 @@ _CLASS_KIND: Kind[type[Sensor]] = Kind("sensor", _SHIPPED, own="class", check=_o
 
 def make_track(track: str, sensor: Any) -> LocalTrack:
     """The track `track` ("local", "global", or one's own class) with `sensor`: a name of SENSORS, sensors of one's own,
-    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes of
-    them. Raises UsageError, naming the valid ones."""
+    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes
+    of them. Raises UsageError, naming the valid ones."""
     return TRACK_KIND.load(track)(_sensors(sensor))
 
 
@@ -143,8 +148,8 @@ def sensor_settings(sensors):
 
 
 def sensor_documents(chosen):
-    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...], where a
-    kind that is not of bson.sensors is "module:class"."""
+    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...],
+    where a kind that is not of bson.sensors is "module:class"."""
     return chosen if isinstance(chosen, str) else [_document(one) for one in _sensors(chosen)]
 
 
@@ -152,7 +157,11 @@ def _document(sensor):
     kind = type(sensor)
     name = kind.__name__ if getattr(shipped, kind.__name__, None) is kind else f"{kind.__module__}:{kind.__qualname__}"
     fields = {
-        field.name: list(value) if isinstance(value, tuple) else value.item() if isinstance(value, np.generic) else value
+        field.name: list(value)
+        if isinstance(value, tuple)
+        else value.item()
+        if isinstance(value, np.generic)
+        else value
         for field in dataclasses.fields(sensor)
         for value in [getattr(sensor, field.name)]
     }

@@ -1,4 +1,5 @@
-"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run code."""
+"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run
+code."""
 
 from typing import Annotated, Literal
 

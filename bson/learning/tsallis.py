@@ -16,7 +16,8 @@ def log_q(log_x, q):
 
 
 class TsallisActor(Actor):
-    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities, or, `joint`, ln_q of their product."""
+    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities, or, `joint`, ln_q of their
+    product."""
 
     q, joint = 1.0, False
 

@@ -50,9 +50,9 @@ class WorldsVecEnv(_Worlds):
         PPO("MultiInputPolicy", env).learn(100_000)
 
     Observations are the dicts of all worlds. A world whose episode ended begins its next in the same step, in each of
-    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r, length
-    l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields for it,
-    the same for all worlds. Raises ValueError for an environment that is not BSON's.
+    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r,
+    length l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields
+    for it, the same for all worlds. Raises ValueError for an environment that is not BSON's.
     """
 
     def __init__(self, env):

@@ -63,7 +63,13 @@ def test_the_goal_agent_turns_towards_the_goal():
 
 def test_stop_and_go_stands_while_anything_is_near_ahead():
     agent, angles = load_agent("stop-and-go")(), Lidar2D().angles
-    for angle, distance, stands in ((0, 1.5, True), (-29, 1.5, True), (29, 1.5, True), (0, 1.7, False), (40, 0.5, False)):
+    for angle, distance, stands in (
+        (0, 1.5, True),
+        (-29, 1.5, True),
+        (29, 1.5, True),
+        (0, 1.7, False),
+        (40, 0.5, False),
+    ):
         lidar = np.full(720, 30.0, np.float32)
         lidar[np.abs(angles - np.radians(angle)).argmin()] = distance
         assert (agent({**OBSERVATION, "lidar": lidar}) == 0).all() == stands

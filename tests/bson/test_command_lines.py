@@ -87,7 +87,8 @@ SETS = ["--set", "horizon=2", "--set", "map_size=20.0", "--set", "goal_distance=
 
 @st.composite
 def command_lines(draw, commands, program):
-    """A command with some of its flags, each with a valid or a broken value, and now and then something that is no flag."""
+    """A command with some of its flags, each with a valid or a broken value, and now and then something that is no
+    flag."""
     command = draw(st.sampled_from(sorted(commands)))
     words, flags = [command], commands[command]
     if program == "bson" and command in ("evaluate", "demo"):
@@ -98,7 +99,9 @@ def command_lines(draw, commands, program):
             value = draw(st.one_of(st.sampled_from(VALUES), st.sampled_from(BROKEN), st.text(max_size=5)))
             words += ["--set", f"{draw(st.sampled_from(KEYS))}={value}"]
     if command in ("compare", "leaderboard"):
-        words += draw(st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3))
+        words += draw(
+            st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3)
+        )
     if program == "macid" and command == "evaluate":
         words += ["--pedestrian", "orca"]
     if command == "watch":  # films and pictures take too long here: it is refused at the latest for that ending
@@ -109,7 +112,9 @@ def command_lines(draw, commands, program):
             count = draw(st.integers(1, 2)) if flag in ("--levels", "--worlds", "--lcf", "--sensors") else 1
             for _ in range(count):
                 good = draw(st.booleans())
-                words.append(draw(st.sampled_from(flags[flag]) if good else st.one_of(st.sampled_from(BROKEN), st.text())))
+                words.append(
+                    draw(st.sampled_from(flags[flag]) if good else st.one_of(st.sampled_from(BROKEN), st.text()))
+                )
     if draw(st.integers(0, 9)) == 0:
         words.insert(draw(st.integers(0, len(words))), draw(st.sampled_from(["--unknown", *BROKEN])))
     return words
@@ -204,7 +209,9 @@ def test_ten_thousand_command_lines_of_each_command(place, program, commands):
         codes.append(check(program, words, place))
 
     hold()
-    print(f"{program}: {len(codes)} command lines, {codes.count(0)} succeeded, {codes.count(2)} were refused in one line")
+    print(
+        f"{program}: {len(codes)} command lines, {codes.count(0)} succeeded, {codes.count(2)} were refused in one line"
+    )
 
 
 @pytest.mark.parametrize(

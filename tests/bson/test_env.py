@@ -256,7 +256,11 @@ def test_a_bad_action_is_told(action):
 
 @pytest.mark.parametrize(
     ("kwargs", "named"),
-    [({"track": "Locl"}, "Choose one of local, global"), ({"sensor": "sonar"}, "'lidar2d'"), ({"render_mode": "ansi"}, "rgb_array")],
+    [
+        ({"track": "Locl"}, "Choose one of local, global"),
+        ({"sensor": "sonar"}, "'lidar2d'"),
+        ({"render_mode": "ansi"}, "rgb_array"),
+    ],
 )
 def test_a_wrong_argument_is_told(kwargs, named):
     with pytest.raises(ValueError, match=named):

@@ -196,7 +196,10 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
     assert (torch.rand(3) == drawn[0]).all() and (np.random.random(3) == drawn[1]).all()
     assert restored.num_timesteps == model.num_timesteps == 128 and restored._n_updates == model._n_updates > 0
     assert fresh.curve == keeper.curve
-    kept = [np.concatenate([array.ravel() for layer in one.best.pop("layers") for array in layer]) for one in (keeper, fresh)]
+    kept = [
+        np.concatenate([array.ravel() for layer in one.best.pop("layers") for array in layer])
+        for one in (keeper, fresh)
+    ]
     assert (kept[0] == kept[1]).all() and fresh.best == keeper.best
     for before, after in zip(model.policy.parameters(), restored.policy.parameters(), strict=True):
         assert (before == after).all()
@@ -360,7 +363,8 @@ def test_a_wrong_setting_is_told(arguments, told):
 
 
 def test_the_papers_preset_is_the_papers():
-    """Secs. IV-C and VI-D: PPO as the pedestrians' but for a batch of 128 and 10 epochs; the others on (1024, 1024), q 1.2."""
+    """Secs. IV-C and VI-D: PPO as the pedestrians' but for a batch of 128 and 10 epochs; the others on (1024, 1024), q
+    1.2."""
     ppo, sac, tac, bc = (PRESETS["paper"][algo] for algo in ("ppo", "sac", "tac", "bc"))
     assert (ppo.hidden, ppo.gamma, ppo.lam, ppo.clip) == ((64, 64, 64), 0.999, 0.95, 0.2)
     assert (ppo.batch, ppo.epochs) == (128, 10)
@@ -403,9 +407,14 @@ def test_what_was_trained_on_another_robot_tells_so_and_sees_shares_of_its_speed
     factory = learned.load(str(folder / "policy.npz"))
     agent = factory(Setting.of(TaskConfig(robot="diffbot", control_period=0.2), make_track("local", "lidar2d")))
     assert agent.top == (1.0, 2.0)
-    with pytest.raises(ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"):
+    with pytest.raises(
+        ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"
+    ):
         factory(Setting.default())
     seen, _ = BsonEnv(**task).reset(seed=0)
     seen["velocity"] = np.array([0.5, 1.0], np.float32)
     worlds = FeatureVecEnv(1, seed=0, **task)
-    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [0.5, 0.5]
+    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [
+        0.5,
+        0.5,
+    ]

@@ -1,5 +1,5 @@
-"""A command that is refused, for whatever reason, makes, changes and removes nothing: neither where its results were to be
-nor beside it."""
+"""A command that is refused, for whatever reason, makes, changes and removes nothing: neither where its results were to
+be nor beside it."""
 
 import contextlib
 import hashlib
@@ -86,7 +86,15 @@ COMMANDS = {
 }  # fmt: skip
 FOLDERS = {"results", "bson-demo", "comparison", "scene", "runs"}
 # What stands in the way of results of any kind: names below the folder that the command runs in.
-WRONG_PLACES = ["file/below", "circle/below", "dangling/below", "fifo/below", "/dev/null/below", "x" * 300, "new/" + "x" * 300]
+WRONG_PLACES = [
+    "file/below",
+    "circle/below",
+    "dangling/below",
+    "fifo/below",
+    "/dev/null/below",
+    "x" * 300,
+    "new/" + "x" * 300,
+]
 WRONG_FOLDERS = ["file", "fifo", "to-device", "dangling"]
 WRONG_FILES = ["folder", "fifo", "to-device", "dangling"]
 
@@ -153,7 +161,11 @@ def test_a_refusal_of_any_kind_leaves_everything_as_it_was(place, data):
     refused(place, [*words, *sum(faults, []), flag, where])
 
 
-PLACES = [(command, where) for command in COMMANDS for where in (WRONG_FOLDERS if COMMANDS[command][2] in FOLDERS else WRONG_FILES)]
+PLACES = [
+    (command, where)
+    for command in COMMANDS
+    for where in (WRONG_FOLDERS if COMMANDS[command][2] in FOLDERS else WRONG_FILES)
+]
 
 
 @pytest.fixture(scope="module")

@@ -100,10 +100,26 @@ SHELVES = "walls = [" + ", ".join(f"[-6, {y}, 6, {y}]" for y in np.arange(-5.4, 
     ("text", "people", "told"),
     [
         (SHELVES, 0, "^The robot finds no room in map .*0.85 m .* is asked for, and the most there is is 0.45 m"),
-        ("[regions]\nrobot_start = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "^The robot .* region robot_start .* most there is is 0.50 m"),
-        ("[regions]\nrobot_goal = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "region robot_goal .* by the robot: 0.85 m .* is 0.50 m"),
-        ("[regions]\npeople_start = [[-5.9, 0, 0.1, 2, 0]]", 5, "^Only 0 of 5 people .* people_start .* 0.55 m .* is 0.20 m"),
-        ("[regions]\npeople_start = [[-4, 0, 0.2, 0.2, 0]]", 5, "^Only 1 of 5 people found room in region people_start"),
+        (
+            "[regions]\nrobot_start = [[-5.7, 0, 0.2, 0.2, 0]]",
+            0,
+            "^The robot .* region robot_start .* most there is is 0.50 m",
+        ),
+        (
+            "[regions]\nrobot_goal = [[-5.7, 0, 0.2, 0.2, 0]]",
+            0,
+            "region robot_goal .* by the robot: 0.85 m .* is 0.50 m",
+        ),
+        (
+            "[regions]\npeople_start = [[-5.9, 0, 0.1, 2, 0]]",
+            5,
+            "^Only 0 of 5 people .* people_start .* 0.55 m .* is 0.20 m",
+        ),
+        (
+            "[regions]\npeople_start = [[-4, 0, 0.2, 0.2, 0]]",
+            5,
+            "^Only 1 of 5 people found room in region people_start",
+        ),
         ("routes = [[[-4, 0], [4, 0]]]", 100, r"^Only \d+ of 100 people .* routes\[0\] .*Lower the pedestrian"),
     ],
 )
