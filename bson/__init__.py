@@ -2,7 +2,7 @@
 
 import gymnasium as _gymnasium
 
-from macid import forks as _forks
+from macid import forks as _forks  # noqa: F401 (it notes from now on whether a fork took JAX's threads)
 
 ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
     f"BSON/{track.capitalize()}{name}-v0": {"track": track, "sensor": name.lower()}

@@ -5,6 +5,7 @@ import dataclasses
 import pathlib
 import shlex
 import sys
+from typing import Any
 
 from macid import start
 from macid.command import (
@@ -256,8 +257,7 @@ def _bench(args):
     given = {name: value for name, value in given.items() if value is not None}
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
-    if args.out:
-        path = check_file(args.out, "file for --out")
+    path = check_file(args.out, "file for --out") if args.out else None
     if args.engine == "warp":
         rows = _bench_warp(args, given)
     elif args.train is None:
@@ -267,7 +267,7 @@ def _bench(args):
     else:
         with agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
-    if args.out:
+    if path is not None:
         with new_folder(path.parent):
             write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
@@ -380,7 +380,7 @@ def _add_evaluation(command, out, suite):
 
 def parser():
     """The command's parser."""
-    defaults = {"formatter_class": HelpFormatter}
+    defaults: dict[str, Any] = {"formatter_class": HelpFormatter}
     root = Parser(prog="bson", description="A benchmark for robots that drive among people.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
 

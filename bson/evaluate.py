@@ -69,7 +69,9 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]
     todo.sort(key=lambda number: -len(episodes[number].pose))
-    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False) if todo else None
+    if not todo:
+        return paired
+    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False)
     for first in range(0, len(todo), batch):
         numbers = todo[first : first + batch]
         ids, rows = np.arange(len(numbers)), np.array([len(episodes[number].pose) for number in numbers])

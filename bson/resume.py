@@ -149,9 +149,9 @@ def _read_basis(path):
     """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
     try:
         basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
-        problem = None if isinstance(basis, dict) else "it is no object"
+        if isinstance(basis, dict):
+            return basis
+        problem = "it is no object"
     except UsageError as error:
         problem = str(error).rstrip(".")
-    if problem:
-        raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
-    return basis
+    raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")

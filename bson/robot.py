@@ -31,6 +31,7 @@ Jackal's (robots/jackal.xml).
 import dataclasses
 import functools
 import hashlib
+import math
 import pathlib
 from typing import Annotated, Literal
 from xml.etree import ElementTree
@@ -41,7 +42,7 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
+from macid.documents import check_readable, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
@@ -82,9 +83,15 @@ def _domain(name):
     return f"a number above 0, from {least:g} to {most:g} {unit}" if least else f"a number from 0 to {most:g} {unit}"
 
 
-def _bounded(name):
+def _whole(name):
+    """The bounds of a whole number, which stays whole."""
     least, most, _ = _BOUNDS[name]
-    return number(_domain(name), ge=least, le=most)
+    return Meta(description=_domain(name), ge=math.ceil(least), le=math.floor(most))
+
+
+def _real(name):
+    least, most, _ = _BOUNDS[name]
+    return Meta(description=_domain(name), ge=least, le=most)
 
 
 _Name = Annotated[str, Meta(min_length=1, max_length=1000, description="a name")]
@@ -101,19 +108,21 @@ class _Drive(msgspec.Struct, forbid_unknown_fields=True):
     kind: Literal["differential", "skid-steer"]
     left: _Wheels
     right: _Wheels
-    max_speed: _bounded("max_speed")
-    max_yaw_rate: _bounded("max_yaw_rate")
-    wheel_radius: _bounded("wheel_radius")
-    track: _bounded("track")
-    rolling_radius: _bounded("rolling_radius") | None = None
-    effective_track: _bounded("effective_track") | None = None
+    max_speed: Annotated[int, _whole("max_speed")] | Annotated[float, _real("max_speed")]
+    max_yaw_rate: Annotated[int, _whole("max_yaw_rate")] | Annotated[float, _real("max_yaw_rate")]
+    wheel_radius: Annotated[int, _whole("wheel_radius")] | Annotated[float, _real("wheel_radius")]
+    track: Annotated[int, _whole("track")] | Annotated[float, _real("track")]
+    rolling_radius: Annotated[int, _whole("rolling_radius")] | Annotated[float, _real("rolling_radius")] | None = None
+    effective_track: Annotated[int, _whole("effective_track")] | Annotated[float, _real("effective_track")] | None = (
+        None
+    )
     gain: _Gain | None = None
     max_torque: _Gain | None = None
 
 
 class _Footprint(msgspec.Struct, forbid_unknown_fields=True):
-    half_length: _bounded("half_length")
-    half_width: _bounded("half_width")
+    half_length: Annotated[int, _whole("half_length")] | Annotated[float, _real("half_length")]
+    half_width: Annotated[int, _whole("half_width")] | Annotated[float, _real("half_width")]
     bottom: _Height | None = None
     top: _Height | None = None
 
@@ -128,7 +137,7 @@ class _Description(msgspec.Struct, forbid_unknown_fields=True):
 
     model: _Name
     base: _Name
-    spawn_height: _bounded("spawn_height")
+    spawn_height: Annotated[int, _whole("spawn_height")] | Annotated[float, _real("spawn_height")]
     drive: _Drive
     footprint: _Footprint
     mounts: Annotated[dict[_Name, _Mount], Meta(max_length=100)] = {}
@@ -157,8 +166,8 @@ class RobotConfig:
                 raise ValueError(f"Robot {shown_path(self.name)}: {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(
-                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m around the "
-                f"footprint; it must be at most {MAX_RADIUS} m."
+                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m "
+                f"around the footprint; it must be at most {MAX_RADIUS} m."
             )
 
     @property
@@ -527,8 +536,8 @@ def _refuse_odd_models(content, folder, depth=0):
                 check_readable(file, f"<{element.tag}>", _MOST_ASSET)
         if mesh.lower().endswith(".dae"):
             raise ValueError(
-                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and "
-                "name that in the model."
+                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), "
+                "and name that in the model."
             )
         for key in ("width", "height", "nrow", "ncol", "count"):
             for word in (element.get(key) or "").split()[:3]:

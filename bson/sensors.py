@@ -15,6 +15,7 @@ It is white: drawn anew for each reading, independent between beams, pixels and 
 """
 
 import dataclasses
+import itertools
 import math
 import numbers
 import zlib
@@ -49,7 +50,7 @@ def _numbers(count, each, rising=False):
             isinstance(value, (tuple, list, np.ndarray))
             and len(value) == count
             and all(each(one) for one in value)
-            and not (rising and any(low >= high for low, high in zip(value[:-1], value[1:], strict=True)))
+            and not (rising and any(low >= high for low, high in itertools.pairwise(value)))
         )
 
     return check

@@ -9,6 +9,7 @@ import numpy as np
 from bson import sensors as shipped
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.simulation.data import MAP_RESOLUTION
+from bson.task import TaskConfig
 from macid import geometry
 from macid.documents import shown
 from macid.files import UsageError
@@ -26,7 +27,7 @@ class LocalTrack:
 
     sensors: tuple = (Imu(), Lidar2D())
 
-    def space(self, config):
+    def space(self, config: TaskConfig) -> gymnasium.spaces.Dict:
         """The observation space of one world."""
         reach = config.map_size * np.sqrt(2.0)
         limit = velocity_limit(config.robot)
@@ -54,7 +55,7 @@ class GlobalTrack(LocalTrack):
     """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people
     are."""
 
-    def space(self, config):
+    def space(self, config: TaskConfig) -> gymnasium.spaces.Dict:
         """The observation space of one world."""
         half, cells = config.map_size / 2, round(config.map_size / MAP_RESOLUTION)
         box = gymnasium.spaces.Box
@@ -170,12 +171,13 @@ def _document(sensor):
 
 def _of_document(document):
     """The sensor of a dict of `sensor_documents`. Raises ValueError, naming what is wrong."""
-    fields = dict(document)
+    fields: dict[str, Any] = dict(document)
     kind = _CLASS_KIND.load(fields.pop("kind", None))
     known = [field.name for field in dataclasses.fields(kind)]
     if unknown := sorted(map(str, set(fields) - set(known))):
         raise ValueError(f"{kind.__name__} has no field {unknown[0]!r}. Choose among {', '.join(known)}.")
-    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
+    return kind(**values)
 
 
 def _sensors(chosen):

@@ -51,7 +51,8 @@ _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
     "fast": ALGORITHMS,
-    # What the paper gives (secs. IV-C, VI-D). The entropy's weight is that of TAC's authors (Lee et al. 2020), as the paper has none.
+    # What the paper gives (secs. IV-C, VI-D). It gives no weight of the entropy: that is of TAC's authors (Lee et al.
+    # 2020).
     "paper": {
         "ppo": PpoConfig(final_learning_rate=1e-3, gamma=0.999, batch=128, epochs=10),
         "sac": _PAPER_SAC,
@@ -108,7 +109,7 @@ class TrainConfig:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
-        self.setting  # raises what is wrong with the task
+        TaskConfig().replace(**self.task)  # raises what is wrong with it
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", found)
 
@@ -136,7 +137,8 @@ class _Keeper:
 
     def __init__(self, config, folder):
         self.config, self.folder, self.board = config, folder, None
-        self.curve, self.validations, self.best, self.spent = [], [], None, 0.0
+        self.curve, self.validations, self.spent = [], [], 0.0
+        self.best: dict | None = None  # of what scored best: layers, output, steps, validation
         self._begin = time.monotonic()
 
     @property
@@ -187,6 +189,7 @@ class _Keeper:
     def write(self, steps):
         """Writes the best policy so far, with its recipe."""
         best = self.best
+        assert best is not None  # since the first validation
         recipe = {
             "name": self.config.name,
             **plain(self.config),
@@ -342,7 +345,7 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if isinstance(config.hyperparameters, BcConfig):
         return _train_bc(config, keeper, show)
     resumed = model is not None
-    if resumed:
+    if model is not None:
         show(model.num_timesteps, {})
     else:
         model = config.hyperparameters.build(_env(config), config.seed)

@@ -74,8 +74,9 @@ def ends_well(folder, content):
     try:
         runs = [Results.load(good), Results.load(theirs)]
     except UsageError as error:
+        text = str(error)
         one_line(error, printable=True)
-        assert "theirs.json" in str(error)
+        assert "theirs.json" in text
         return "refused"
     done = "read"
     for order in (runs, runs[::-1]):
@@ -230,5 +231,6 @@ def test_an_agents_file_is_read_or_refused_in_one_line(tmp_path_factory, content
         agent.reset(0)
         assert np.abs(act(agent, SEEN, "robot.npz")).max() <= 1.0
     except (UsageError, AgentError) as error:
+        text = str(error)
         one_line(error, printable=True)
-        assert "robot" in str(error)
+        assert "robot" in text

@@ -4,27 +4,29 @@ import dataclasses
 import json
 import os
 
+import gymnasium
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-stable_baselines3 = pytest.importorskip("stable_baselines3")
-
-import gymnasium
 
 from bson.agents import Setting, learned
 from bson.env import BsonEnv
 from bson.features import FEATURES, Features
-from bson.learning import train as train_module
-from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.imitation import BcConfig, clone, select
-from bson.learning.train import PRESETS, TrainConfig, one_thread, train
-from bson.learning.tsallis import log_q
-from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
+
+torch = pytest.importorskip("torch")
+stable_baselines3 = pytest.importorskip("stable_baselines3")
+train_module = pytest.importorskip("bson.learning.train")
+algorithms = pytest.importorskip("bson.learning.algorithms")
+imitation = pytest.importorskip("bson.learning.imitation")
+PpoConfig, SacConfig, export = algorithms.PpoConfig, algorithms.SacConfig, algorithms.export
+BcConfig, clone, select = imitation.BcConfig, imitation.clone, imitation.select
+PRESETS, TrainConfig = train_module.PRESETS, train_module.TrainConfig
+one_thread, train = train_module.one_thread, train_module.train
+log_q = pytest.importorskip("bson.learning.tsallis").log_q
+FeatureVecEnv = pytest.importorskip("bson.learning.vec_env").FeatureVecEnv
 
 torch.set_num_threads(1)  # the networks are too small for more
 
@@ -391,11 +393,15 @@ def test_the_joint_tsallis_entropy_is_of_the_whole_actions_density():
 
 
 def test_training_leaves_torchs_threads_as_they_were():
-    torch.set_num_threads(2)
-    try:
-        with pytest.raises(KeyError), one_thread():
+    def fail():
+        with one_thread():
             assert torch.get_num_threads() == 1
             raise KeyError
+
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(KeyError):
+            fail()
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)

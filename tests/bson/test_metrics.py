@@ -88,7 +88,7 @@ def test_sns_by_hand(changes, expected):
 @pytest.mark.parametrize("final", [0.4, 10.0, 20.0, 22.0, 60.0])
 def test_no_score_rises_with_collisions(final):
     scores = [measure(episode(start=20.0, final=final, travelled=25.0, collisions=count))["SNS"] for count in range(60)]
-    assert all(before >= after for before, after in zip(scores[:-1], scores[1:], strict=True))
+    assert all(before >= after for before, after in itertools.pairwise(scores))
 
 
 def test_personal_space_and_nearest_person_by_hand():

@@ -273,7 +273,10 @@ def put(world, pose):
     world.place([0], pose=[pose])
 
 
-def alone(sensors=(Imu(), Lidar2D(), Lidar3D()), pose=(1.0, 2.0, 0.4), **changes):
+_ALL_SENSORS = (Imu(), Lidar2D(), Lidar3D())
+
+
+def alone(sensors=_ALL_SENSORS, pose=(1.0, 2.0, 0.4), **changes):
     """A World without people, in which the robot stands still at `pose` and has settled."""
     found = World(TaskConfig(num_pedestrians=0, map_size=20.0, goal_distance=(6.0, 12.0), **changes), 1, sensors)
     found.reset([0], [3])
@@ -433,8 +436,10 @@ URDF = """<robot name="box"><link name="base_footprint"/>
 <collision><geometry><sphere radius=".1"/></geometry></collision></link>
 <link name="wr"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
 <collision><geometry><sphere radius=".1"/></geometry></collision></link>
-<joint name="l" type="continuous"><parent link="base"/><child link="wl"/><origin xyz="0 .2 0"/><axis xyz="0 1 0"/></joint>
-<joint name="r" type="continuous"><parent link="base"/><child link="wr"/><origin xyz="0 -.2 0"/><axis xyz="0 1 0"/></joint>
+<joint name="l" type="continuous">
+<parent link="base"/><child link="wl"/><origin xyz="0 .2 0"/><axis xyz="0 1 0"/></joint>
+<joint name="r" type="continuous">
+<parent link="base"/><child link="wr"/><origin xyz="0 -.2 0"/><axis xyz="0 1 0"/></joint>
 </robot>"""
 TOML = """model = "box.urdf"
 base = "base_footprint"
@@ -614,5 +619,5 @@ def test_a_model_for_a_description_is_told_what_to_do(name, told):
     "changes", [{"wheel_radius": 1e-12}, {"track": 1e300}, {"max_yaw_rate": float("nan")}, {"half_width": 0}]
 )
 def test_numbers_that_no_robot_has_are_refused_in_a_task_too(changes):
-    with pytest.raises(ValueError, match=f"{[*changes][0]} must be a number above 0, from"):
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} must be a number above 0, from"):
         TaskConfig(robot=changes)

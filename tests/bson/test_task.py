@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -147,7 +148,7 @@ def test_a_map_from_a_file_brings_its_size_people_and_regions():
     for person, (place, goal) in enumerate(zip(drawn.people[:, :2], drawn.people_goals, strict=True)):
         route = drawn.layout.routes[person % 3]
         assert goal.tolist() in (route[0].tolist(), route[-1].tolist())
-        dense = np.concatenate([np.linspace(a, b, 50) for a, b in zip(route[:-1], route[1:], strict=True)])
+        dense = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(route)])
         assert np.linalg.norm(dense - place, axis=-1).min() <= 1.5
 
 
