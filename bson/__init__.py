@@ -2,7 +2,7 @@
 
 import gymnasium as _gymnasium
 
-from macid import forks as _forks  # noqa: F401 (it notes from now on whether a fork took JAX's threads)
+from macid import forks as _forks  # noqa: F401  (it notes what a process forked from here on has lost)
 
 ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
     f"BSON/{track.capitalize()}{name}-v0": {"track": track, "sensor": name.lower()}
@@ -11,4 +11,4 @@ ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
 }
 
 for _id, _kwargs in ENVIRONMENTS.items():  # by name: MuJoCo and JAX are loaded when one is made
-    _gymnasium.register(_id, "bson.env:BsonEnv", vector_entry_point="bson.env:vector_env", kwargs=_kwargs)
+    _gymnasium.register(_id, "bson.env:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs)

@@ -121,6 +121,28 @@ def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=
     }
 
 
+def measure_score(score, episodes=100, engine=None):
+    """How fast the learned policy `score` is scored on the suite `paper`, and its SNS in each episode."""
+    from bson.interfaces.play import LearnedOnDevice, play
+    from bson.metrics import measure as metrics_of
+    from bson.simulation.engines.warp import WarpConfig
+    from bson.suites import load_suite
+
+    suite = load_suite("paper")
+    begin = time.perf_counter()
+    played = play(LearnedOnDevice(score), suite.cells[0].config, suite.drawn(episodes, 0), WarpConfig(**(engine or {})))
+    seconds = time.perf_counter() - begin
+    measured = [metrics_of(episode) for episode in played]
+    return {
+        "device": device(),
+        "engine": "warp",
+        "scored": score,
+        "seconds": seconds,
+        **{name: float(np.mean([row[name] for row in measured])) for name in ("SNS", "RC", "Coll", "SP", "PE")},
+        "each": {episode.seed: round(float(row["SNS"]), 3) for episode, row in zip(played, measured, strict=True)},
+    }
+
+
 def device():
     """The device that the worlds are on, in words."""
     import jax
@@ -168,7 +190,7 @@ def _main(engine, *cases):
     """WarpConfig's fields, and cases, of JSON; prints the row of each as one line of JSON."""
     for case in map(json.loads, cases):
         case["engine"] = {**json.loads(engine), **case.get("engine", {})}
-        measured = measure_training if case.pop("train", False) else measure
+        measured = measure_training if case.pop("train", False) else measure_score if "score" in case else measure
         print(json.dumps(measured(**case)), flush=True)
         gc.collect()
 

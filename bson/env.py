@@ -415,18 +415,6 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         }
 
 
-def vector_env(engine="native", **arguments):
-    """The vector environment of `gymnasium.make_vec`: BsonVectorEnv, or with engine="warp"
-    bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine, UsageError without MJX-Warp."""
-    if engine == "native":
-        return BsonVectorEnv(**arguments)
-    if engine == "warp":
-        from bson.interfaces.vector import WarpVectorEnv
-
-        return WarpVectorEnv(**arguments)
-    raise ValueError(f"Unknown engine {shown(engine)}. Choose 'native' or 'warp'.")
-
-
 def first(observation):
     """The observation of the first world, of a batch's."""
     return {name: value[0] for name, value in observation.items()}

@@ -30,8 +30,8 @@ from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"
-# The environment of Ray: it tells nobody of its use, its workers' priority is this process's, not a lower one, and of a lost
-# worker we tell, not Ray, on standard output.
+# The environment of Ray: it tells nobody of its use, its workers' priority is this process's, not a lower one, and of
+# a lost worker we tell, not Ray, on standard output.
 _RAY = {
     "RAY_DEDUP_LOGS_SKIP_REGEX": "worker died or was killed",
     "RAY_USAGE_STATS_ENABLED": "0",

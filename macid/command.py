@@ -74,9 +74,9 @@ def check_words(words):
         try:
             word.encode()
         except UnicodeEncodeError:
-            raise UsageError(f"{word[:_NAME]!a} is not UTF-8, as names, paths and values are.") from None
+            raise UsageError(f"{ascii(word[:_NAME])} is not UTF-8, as names, paths and values are.") from None
         if "\0" in word:
-            raise UsageError(f"{word[:_NAME]!a} has a null character.")
+            raise UsageError(f"{ascii(word[:_NAME])} has a null character.")
         if len(word) > _WORD:
             raise UsageError(f"A word of the command line has {len(word):,} characters; at most {_WORD:,} are read.")
 

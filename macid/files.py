@@ -359,7 +359,7 @@ def start_mujoco(draws=True):
     does not draw goes on without OpenGL where this backend can't be had, or without MuJoCo where it isn't installed."""
     try:
         with start.quiet_children():  # of GLFW
-            import mujoco
+            import mujoco  # noqa: F401
 
         return
     except Exception as error:  # whatever its choice of OpenGL brings up
@@ -367,7 +367,7 @@ def start_mujoco(draws=True):
     if not draws:
         os.environ["MUJOCO_GL"] = "disable"
         with contextlib.suppress(ImportError):
-            import mujoco
+            import mujoco  # noqa: F401, F811
 
             for module in [name for name in sys.modules if name.startswith("mujoco.")]:  # those of the failed import
                 parent, _, child = module.rpartition(".")

@@ -51,7 +51,7 @@ class _Interrupts:
 
         while signals := os.read(pipe, 64):
             self.came += signals.count(int(signal.SIGINT))
-            if self.came > 1 or (self.came == 1 and not self.waits()):
+            if self.came > 1 or self.came == 1 and not self.waits():
                 sleep(_ANSWER)
                 if self.raised:
                     sleep(_CLEANING)

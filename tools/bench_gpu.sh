@@ -12,7 +12,7 @@ out=${1:?usage: tools/bench_gpu.sh OUT [CASE...]}
 shift
 python=${PYTHON:-python3} limit=${LIMIT:-120} worlds=${WORLDS:-1024} seconds=${SECONDS_EACH:-2} engine=${ENGINE:-warp}
 many=$((4 * worlds))
-export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1
+export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1 MUJOCO_GL=${MUJOCO_GL:-disable}
 memory=${XLA_PYTHON_CLIENT_MEM_FRACTION:-0.55}  # JAX's share; the rest is Warp's
 
 # What `macid bench` is given. @ stands for the engine, @A=B,C=D for it with these options.

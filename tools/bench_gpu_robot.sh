@@ -27,6 +27,7 @@ PY
 group 200 '{"sensor": "lidar2d", "seconds": 4}' '{"sensor": "none", "seconds": 4}' || engine='{"graph": false}'
 group 150 '{"train": true, "seconds": 6}'
 group 150 '{"sensor": "camera", "worlds": 1024, "seconds": 4}' '{"sensor": "lidar3d", "worlds": 2048, "seconds": 4}'
+group 150 '{"score": "tac"}' '{"score": "ppo"}'
 group 150 '{"sensor": "none", "worlds": 16384, "seconds": 4}' '{"sensor": "lidar2d", "worlds": 16384, "seconds": 4}'
 group 120 '{"sensor": "none", "seconds": 4, "engine": {"solver": "cg", "iterations": 20}}'
 group 120 '{"sensor": "none", "seconds": 4, "engine": {"tolerance": 1e-6}}'

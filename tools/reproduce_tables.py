@@ -316,6 +316,7 @@ def run(args):
 def _make(args, executor):
     """Makes the tables on an executor."""
     configs = wanted(args.agent_steps, args.seeds)
+    engine_kind(args.engine)
     out = output_folder(args.out)
     rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
     if not args.no_train:

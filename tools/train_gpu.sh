@@ -16,16 +16,16 @@ python=${PYTHON:-python3} seeds=${SEEDS:-7} steps=${STEPS:-30e6} together=${TOGE
 methods=${METHODS:-macid ipo copo macid-touch macid-tri mfpo}
 runs=${RUNS:-$out/runs}
 mkdir -p "$out/policies" "$runs"
-export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1
+export PYTHONPATH=$PWD${PYTHONPATH:+:$PYTHONPATH} PYTHONUNBUFFERED=1 MUJOCO_GL=${MUJOCO_GL:-disable}
 export XLA_PYTHON_CLIENT_MEM_FRACTION=${XLA_PYTHON_CLIENT_MEM_FRACTION:-$("$python" -c "print(0.55 / $together)")}
 end=$(($(date +%s) + seconds))
 
 train() {
   local left=$((end - $(date +%s)))
   [ "$left" -lt 20 ] && echo "$1: no time left" && return
-  # Ctrl-C's signal, so that a checkpoint is kept.
+  # Ctrl-C's signal, which jobs in the background else ignore, so that a checkpoint is kept.
   # shellcheck disable=SC2086
-  timeout -s INT -k 15 "$left" "$python" -m macid.cli train --engine "$engine" --method "$1" --seeds "$seeds" \
+  timeout -s INT -k 15 "$left" env --default-signal=INT "$python" -m macid.cli train --engine "$engine" --method "$1" --seeds "$seeds" \
     --agent-steps "$steps" ${MORE:-} --out "$runs" > "$out/$1.log" 2>&1
   echo "$1: exit code $?, at $((seconds - (end - $(date +%s)))) s: $(grep agent-steps/s "$out/$1.log" | tail -n 1)"
   for folder in "$runs/$1"-*/; do

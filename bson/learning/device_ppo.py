@@ -223,15 +223,16 @@ class DevicePpo:
     def run(self, learner, stream, number=1):
         """`number` iterations; yields (Learner, Stream, figures {name: number}) after each. It looks at figures one
         iteration late, so that the device need not wait."""
-        pending = None
+        waiting = []  # figures and tallies
         for index in range(number + 1):
             if index < number:
                 episodes = self.worlds.ready(self._ahead)
-                learner, stream, told, tally = self.iterate(learner, stream, episodes)
-            if pending is not None:
-                self.worlds.count(pending[1])
-                yield learner, stream, {name: float(value) for name, value in jax.device_get(pending[0]).items()}
-            pending = told, tally
+                learner, stream, *news = self.iterate(learner, stream, episodes)
+                waiting.append(news)
+            if index:
+                told, tally = waiting.pop(0)
+                self.worlds.count(tally)
+                yield learner, stream, {name: float(value) for name, value in jax.device_get(told).items()}
 
     def layers(self, learner):
         """The policy's layers, as bson.agents.learned has them."""

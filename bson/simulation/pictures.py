@@ -79,7 +79,7 @@ def look(origin, direction, ahead, solids, pixel):
     box = xp.argmin(to_box, axis=-1)
     to_box, to_floor = xp.min(to_box, axis=-1), rays.to_floor(origin, direction, solids.half)
     distance = xp.minimum(to_box, to_floor)
-    person, who = None, None
+    person = who = None
     if solids.people.shape[0]:
         to_person = rays.to_people(origin, direction, solids.people)
         who, to_person = xp.argmin(to_person, axis=-1), xp.min(to_person, axis=-1)

@@ -72,11 +72,12 @@ def draw(config, seed, with_map=False):
     rng = np.random.default_rng(int(seed))
     drawn = spawn(config, rng)
     ways, turns = _itineraries(config, drawn, rng)
+    x, y, yaw = drawn.robot
     grid = occupancy_grid(drawn.layout, MAP_RESOLUTION, radius=0.0) if with_map else np.zeros((0, 0))
     return Drawn(
         np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32),
         drawn.layout.boxes.astype(np.float32),
-        robot.spawn_qpos(*drawn.robot, config.robot).astype(np.float32),
+        robot.spawn_qpos(x, y, yaw, config.robot).astype(np.float32),
         drawn.goal.astype(np.float32),
         np.float32(np.hypot(*(drawn.goal - drawn.robot[:2]))),
         drawn.people.astype(np.float32),
@@ -100,21 +101,22 @@ class _Worker:
         command = [sys.executable, "-c", "from bson.simulation.pool import serve; serve()"]
         environment = {**os.environ, "JAX_PLATFORMS": "cpu"}  # it needs no accelerator
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-        self._lock = threading.Lock()
+        assert self._process.stdin and self._process.stdout
+        self._asked, self._answered, self._lock = self._process.stdin, self._process.stdout, threading.Lock()
 
     def __call__(self, *arguments):
         with self._lock:
-            pickle.dump(arguments, self._process.stdin)
-            self._process.stdin.flush()
-            answer = pickle.load(self._process.stdout)
+            pickle.dump(arguments, self._asked)
+            self._asked.flush()
+            answer = pickle.load(self._answered)
         if isinstance(answer, Exception):
             raise answer
         return answer
 
     def close(self):
-        self._process.stdin.close()
+        self._asked.close()
         self._process.wait()
-        self._process.stdout.close()
+        self._answered.close()
 
 
 def serve():

@@ -142,6 +142,7 @@ class _Batch:
         # Relaxed: nothing that another thread asks of CUDA meanwhile is in the way.
         with no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
             mujoco_warp.step(self._model, self.data)
+        wp.capture_launch(capture.graph)  # makes it ready here, too
         self.data.overflow.zero_()
         wp.synchronize_device()
         return capture.graph

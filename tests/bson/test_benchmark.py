@@ -107,7 +107,7 @@ def test_a_suite_of_cells_is_mapped(tmp_path):
     assert all(cell in page for cell in found.cells)
     means = [found.metrics["SNS"][found.cell == cell].mean() for cell in found.cells]
     assert found.cell_means("SNS").tolist() == pytest.approx(means)
-    with pytest.raises(UsageError, match="Unknown metric 'sns'. Choose one of SNS"):
+    with pytest.raises(UsageError, match=r"Unknown metric 'sns'\. Choose one of SNS"):
         benchmark.heatmap(found, "sns")
     one = Results(found.content | {"cells": found.content["cells"][:1]})
     with pytest.raises(UsageError, match="one cell only"):

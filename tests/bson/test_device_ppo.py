@@ -30,6 +30,7 @@ def test_features_on_a_device_are_those_of_agents():
         np.testing.assert_allclose(vector(scans, jax.tree.map(jnp.asarray, seen)), wanted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_training_writes_what_numpy_runs_and_goes_on_from_its_checkpoint(tmp_path):
     def config(steps):
         return DeviceTrainConfig(0, steps, EMPTY, 4, hyperparameters=DevicePpoConfig(rollout=4, batches=2, epochs=1))

@@ -257,7 +257,7 @@ def test_a_bad_action_is_told(action):
     ("kwargs", "named"),
     [
         ({"track": "Locl"}, "Choose one of local, global"),
-        ({"sensor": "sonar"}, "'lidar2d'"),
+        ({"sensor": "sonar"}, "Choose one of lidar2d, "),
         ({"render_mode": "ansi"}, "rgb_array"),
     ],
 )

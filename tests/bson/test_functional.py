@@ -228,7 +228,7 @@ def test_vector_form_goes_on_with_other_episodes():
     assert seeds == [9, 10, 11, 12]
 
 
-@pytest.mark.parametrize("output", ["jax", "torch"])
+@pytest.mark.parametrize("output", ["jax", pytest.param("torch", marks=pytest.mark.slow)])
 def test_vector_form_gives_arrays_of_the_device(output):
     kind = jax.Array if output == "jax" else pytest.importorskip("torch").Tensor
     env = _vector("numpy")

@@ -294,7 +294,7 @@ def test_a_whole_folder_is_there_at_the_end_or_not_at_all(tmp_path, there):
     with pytest.raises(ZeroDivisionError), whole_folder(path) as folder:
         (folder / "half").touch()
         assert not path.exists() or not os.listdir(path)
-        1 / 0
+        1 / 0  # noqa: B018
     assert sorted(tmp_path.rglob("*")) == before
     with whole_folder(path) as folder:
         (folder / "below").mkdir()

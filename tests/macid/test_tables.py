@@ -104,11 +104,20 @@ def test_policies_of_another_recipe_are_left_out_and_the_missing_seeds_trained(m
     tables.train_missing(configs, found, folder)
     assert [seed for name, seed in trained if name == "macid"] == list(range(1, tables.SEEDS))
     assert [seed for name, seed in trained if name == "ipo-25hz"] == [0, 1, 2]
+    at_once = []
+    monkeypatch.setattr(
+        tables, "train", lambda config, out, seeds, **kwargs: at_once.append((config.name, config.seed, seeds, config.engine))
+    )
+    tables.train_missing(configs, {"ipo": {2: "there"}, **found}, folder, engine="mjx")
+    assert [each for each in at_once if each[0] in ("macid", "ipo")] == [
+        ("ipo", 0, 2, "mjx"), ("ipo", 3, tables.SEEDS - 3, "mjx"), ("macid", 1, tables.SEEDS - 1, "mjx"),
+    ]  # fmt: skip
 
 
 def test_wrong_requests_are_told(made_up, monkeypatch, capsys):
     folder, _ = made_up
     assert run(monkeypatch, folder, "--seeds", "0") == 2 and "at least 1" in capsys.readouterr().err
+    assert run(monkeypatch, folder, "--engine", "bullet") == 2 and "Unknown engine 'bullet'" in capsys.readouterr().err
     empty = folder / "empty"
     empty.mkdir()
     assert run(monkeypatch, empty, "--no-train") == 2 and "No policies" in capsys.readouterr().err

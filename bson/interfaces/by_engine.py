@@ -1,0 +1,16 @@
+"""The vector environment that `gymnasium.make_vec` makes, by its engine."""
+
+from bson.env import BsonVectorEnv
+from macid.documents import shown
+
+
+def vector_env(engine="native", **arguments):
+    """BsonVectorEnv, or with engine="warp" bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine,
+    UsageError without MJX-Warp."""
+    if engine == "native":
+        return BsonVectorEnv(**arguments)
+    if engine == "warp":
+        from bson.interfaces.vector import WarpVectorEnv
+
+        return WarpVectorEnv(**arguments)
+    raise ValueError(f"Unknown engine {shown(engine)}. Choose 'native' or 'warp'.")
