@@ -3,10 +3,10 @@
 import pathlib
 import tempfile
 
+import hostile
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-import hostile
 from bson.robot import load_robot
 from bson.suites import load_suite, read_suite
 from macid import assets

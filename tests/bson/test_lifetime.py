@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-import bson  # noqa: F401  (registers the environments)
+import bson
 import bson.dm
 from bson import robot
 from bson.env import BsonEnv, BsonVectorEnv
