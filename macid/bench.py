@@ -138,7 +138,7 @@ def run(
                 presets.preset(preset, level=level, nworld=nworld, engine=engine), rollout=rollout
             )
             options = {} if only is None else {"only": only}
-            people = load_level(level).pedestrians
+            people = load_level(level).people
             measured = dict(zip(KINDS, measure(config, seconds, **options), strict=True))
             row = {"device": device(), "engine": engine, "people": people, "worlds": nworld, **measured}
             told = "".join(

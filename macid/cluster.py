@@ -59,7 +59,7 @@ class Cluster:
             import ray
         except ImportError as error:
             raise UsageError(f"--executor ray needs {error.name or 'ray'}: {INSTALL}.") from None
-        self._ray = ray
+        self._ray: Any = ray  # its types don't tell that a task may give a generator
         self.address = _checked(address or os.environ.get("RAY_ADDRESS") or "local")
         self.workers = workers
         self._wanted, self._ours, self._folder = workers, False, None
@@ -113,6 +113,7 @@ class Cluster:
     def run(self, work, jobs, receive, carried: Carried) -> None:
         """See macid.executors.Executor.run."""
         ray = self._ray
+        assert self.workers is not None  # in the `with`
         packages = tuple(dict.fromkeys(["macid", work.__module__.partition(".")[0]]))
         bundle = ray.put(_Bundle(carried.read(), carried.paths, os.getcwd(), packages, fingerprint(packages)))
         if told := carried.told():

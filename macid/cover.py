@@ -22,7 +22,7 @@ def runs(solid):
 def exact(solid):
     """Rectangles (N, 4) that cover the cells `solid` (rows, columns) bool and no other, none twice: runs of cells along
     a row are joined with equal runs in the rows above."""
-    rows, columns = solid.shape
+    rows = len(solid)
     edges = np.diff(np.pad(solid.astype(np.int8), ((0, 1), (1, 1))), axis=1)
     starts, ends = np.argwhere(edges == 1), np.argwhere(edges == -1)
     first = np.searchsorted(starts[:, 0], np.arange(rows + 2))

@@ -10,8 +10,9 @@ import numpy as np
 from macid import geometry, scene
 from macid.engines import make_engine
 from macid.engines.base import repeat
+from macid.geometry import Array
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
-from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
+from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, parking_place, physics_steps
 
 
@@ -24,7 +25,7 @@ class CrowdConfig:
     duration: float = 20.0  # of an episode: the paper's T = 1000 steps
     lcf: tuple[float, float] = (-2.0, 2.0)  # the range from which each person's LCF is drawn
     goal_distance: tuple[float, float] = GOAL_DISTANCE
-    person: scene.PersonConfig = scene.PersonConfig()
+    person: scene.PersonConfig = scene.PERSON
 
     def __post_init__(self):
         if self.number < 1:
@@ -46,6 +47,7 @@ class CrowdConfig:
         return round(self.duration / self.period)
 
 
+CONFIG = CrowdConfig()  #: what a crowd is where nothing else is said
 
 
 class Episode(NamedTuple):
@@ -85,7 +87,7 @@ def snapshot(state, episode):
 class Crowd:
     """`nworld` episodes at once of the crowd `config` on `layout`."""
 
-    def __init__(self, layout: Layout, config=CrowdConfig(), nworld=1, engine="native"):
+    def __init__(self, layout: Layout, config: CrowdConfig = CONFIG, nworld: int = 1, engine: str = "native"):
         self.layout, self.config, self.nworld = layout, config, nworld
         self.model = scene.crowd_spec(layout, config.number, config.person).compile()
         self.engine = make_engine(engine, self.model, config.number, layout.boxes, nworld)
@@ -126,7 +128,9 @@ class Crowd:
         """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
         return self.transition(episode, command)[0]
 
-    def transition(self, episode: Episode, command, weights=RewardWeights()) -> tuple[Episode, Outcome]:
+    def transition(
+        self, episode: Episode, command: Array, weights: RewardWeights = WEIGHTS
+    ) -> tuple[Episode, Outcome]:
         """`step` and its Outcome, whose rewards follow from `weights` (a collision: any contact during the
         decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
@@ -170,12 +174,13 @@ class Crowd:
 
     def _rollout(self, episode, controller, steps, record):
         key = (controller, steps, record)
-        if key not in self.__dict__.setdefault("_compiled", {}):
+        compiled = self.__dict__.setdefault("_compiled", {})
+        if key not in compiled:
 
             def one(episode, _):
                 state = self.engine.read(episode.physics)
                 command = controller(state, self.boxes, episode.goals, episode.lcf)
                 return self.step(episode, command), record(state, episode)
 
-            self._compiled[key] = jax.jit(lambda episode: jax.lax.scan(one, episode, None, length=steps))
-        return self._compiled[key](episode)
+            compiled[key] = jax.jit(lambda episode: jax.lax.scan(one, episode, None, length=steps))
+        return compiled[key](episode)

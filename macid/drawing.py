@@ -323,9 +323,11 @@ class Stage(Offscreen):
 
     def render(self, page, view, centre=None, reach=None):
         """Draws into the page's rectangle `view`, with shadows up to `reach` [m] around `centre` where given."""
+        context = self._context
+        assert context is not None  # until `close`
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = centre is not None
         if centre is not None:
-            self._context.shadowClip = reach
+            context.shadowClip = reach
             for light in list(self.scene.lights)[: self.scene.nlight]:
                 if light.castshadow:
                     light.pos = np.array([*centre, 0.0]) - 12.0 * np.array(light.dir)
@@ -333,8 +335,8 @@ class Stage(Offscreen):
         rect = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), np.uint8)
         with self.current():
-            mujoco.mjr_render(rect, self.scene, self._context)
-            mujoco.mjr_readPixels(pixels, None, rect, self._context)
+            mujoco.mjr_render(rect, self.scene, context)
+            mujoco.mjr_readPixels(pixels, None, rect, context)
         page[top : top + height, left : left + width] = pixels[::-1]
 
     def on_map(self, view, centre, span, place):
@@ -510,7 +512,7 @@ def write_webm(path, pictures, number, fps, progress=None):
                     frame = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
                     if written is None:
                         with _silent_stderr():  # FFmpeg remarks that WebM has no such tag: it needs none
-                            writer.open(file, cv2.VideoWriter_fourcc(*"VP80"), float(fps), frame.shape[1::-1])
+                            writer.open(file, cv2.VideoWriter.fourcc(*"VP80"), float(fps), frame.shape[1::-1])
                         if not writer.isOpened():
                             raise OSError("OpenCV can't write VP8 video there")
                     else:

@@ -359,7 +359,7 @@ def start_mujoco(draws=True):
     does not draw goes on without OpenGL where this backend can't be had, or without MuJoCo where it isn't installed."""
     try:
         with start.quiet_children():  # of GLFW
-            import mujoco  # noqa: F401
+            import mujoco
 
         return
     except Exception as error:  # whatever its choice of OpenGL brings up
@@ -367,7 +367,7 @@ def start_mujoco(draws=True):
     if not draws:
         os.environ["MUJOCO_GL"] = "disable"
         with contextlib.suppress(ImportError):
-            import mujoco  # noqa: F401, F811
+            import mujoco  # noqa: F401
 
             for module in [name for name in sys.modules if name.startswith("mujoco.")]:  # those of the failed import
                 parent, _, child = module.rpartition(".")
@@ -389,7 +389,8 @@ class _Stream:
     """
 
     def __init__(self, stream):
-        self._stream = open(os.devnull, "w") if stream is None else stream  # None: it was closed before Python began
+        # None: it was closed before Python began. The file stays open as long as the process.
+        self._stream = open(os.devnull, "w") if stream is None else stream  # noqa: SIM115
         self.problem = None
 
     def __getattr__(self, name):

@@ -38,6 +38,7 @@ def refuse(made=None):
     """
     if _forked_from_jax or made not in (None, os.getpid()):
         raise RuntimeError(
-            "This process was forked after its parent had used JAX or made this environment, and neither survives that. "
-            "Use processes by spawn (context='spawn'), or gymnasium.make_vec(id, num_envs=N), which needs no processes."
+            "This process was forked after its parent had used JAX or made this environment, and neither survives "
+            "that. Use processes by spawn (context='spawn'), or gymnasium.make_vec(id, num_envs=N), which needs no "
+            "processes."
         )

@@ -8,7 +8,9 @@ x ahead and y to the left. A box is a row `(x, y, half_x, half_y, yaw)` [m, m, m
 """
 
 import math
+from typing import Any, TypeAlias
 
+Array: TypeAlias = Any  #: in signatures: an array of NumPy or of JAX
 BOX_COLUMNS = ("x", "y", "half_x", "half_y", "yaw")
 NO_HIT = math.inf
 

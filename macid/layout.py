@@ -6,11 +6,13 @@ The origin is the centre of the map. A layout is frozen; whatever is drawn comes
 import dataclasses
 import functools
 import numbers
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import ArrayLike
 
 from macid import assets, geometry
 from macid.documents import number, read_document, shown_path
@@ -90,7 +92,14 @@ class Layout:
         return boxes
 
     @property
-    def boxes(self):
+    def people(self) -> int:
+        """How many people a level has. Raises ValueError for a layout that leaves that open."""
+        if self.pedestrians is None:
+            raise ValueError(f"Layout '{self.name}' does not say how many pedestrians it has.")
+        return self.pedestrians
+
+    @property
+    def boxes(self) -> np.ndarray:
         """Outer walls, then obstacles: (4 + B, 5)."""
         return np.concatenate([outer_walls(self.size), self.obstacles])
 
@@ -175,12 +184,12 @@ _Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
 _MOST_ROWS = 5000
 
 
-def _rows(*columns):
+def _rows(*columns: str) -> Meta:
     words = f"a list of rows {', '.join(columns)}, at most {_MOST_ROWS}, each number from -1e4 to 1e4"
-    return Annotated[list[list[_Coordinate]], Meta(max_length=_MOST_ROWS, description=words)]
+    return Meta(max_length=_MOST_ROWS, description=words)
 
 
-_Boxes = _rows(*geometry.BOX_COLUMNS)
+_Boxes = Annotated[list[list[_Coordinate]], _rows(*geometry.BOX_COLUMNS)]
 _Route = Annotated[list[list[_Coordinate]], Meta(max_length=200)]
 _Routes = Annotated[
     list[_Route],
@@ -191,13 +200,19 @@ _Regions = Annotated[
 ]
 
 
+if TYPE_CHECKING:
+    _Size = float
+else:
+    _Size = number("a number [m] above 0 and of at most 1000", gt=0, le=1000)
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     """The keys of a layout file."""
 
-    size: number("a number [m] above 0 and of at most 1000", gt=0, le=1000)
+    size: _Size
     name: Annotated[str, Meta(min_length=1, max_length=100, description="a text of 1 to 100 characters")] = "layout"
     obstacles: _Boxes = []
-    walls: _rows("x0", "y0", "x1", "y1") = []
+    walls: Annotated[list[list[_Coordinate]], _rows("x0", "y0", "x1", "y1")] = []
     regions: _Regions = {}
     routes: _Routes = []
     routed: bool | None = None
@@ -214,12 +229,12 @@ def load_layout(file):
             raise ValueError("name must be printable text")
         return Layout(
             fields.size,
-            [*fields.obstacles, *map(wall_box, fields.walls)],
+            _numbers([*fields.obstacles, *map(wall_box, fields.walls)]),
             routed=bool(fields.walls) if fields.routed is None else fields.routed,
             pedestrians=fields.pedestrians,
             name=fields.name,
             regions=fields.regions,
-            routes=fields.routes,
+            routes=tuple(fields.routes),
         )
     except ValueError as error:
         raise UsageError(f"map {shown_path(file)}: {error}") from None
@@ -307,8 +322,17 @@ def _no_room(layout, region, name):
 
 
 def sample_people(
-    rng, layout, number, gap=0.2, taken=(), keep_off=0.0, region=None, fits=None, who="people", region_name="people_start"
-):
+    rng: np.random.Generator,
+    layout: Layout,
+    number: int,
+    gap: float = 0.2,
+    taken: ArrayLike = (),
+    keep_off: float = 0.0,
+    region: np.ndarray | None = None,
+    fits: Callable[[np.ndarray], np.ndarray] | None = None,
+    who: str = "people",
+    region_name: str = "people_start",
+) -> np.ndarray:
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
@@ -349,8 +373,16 @@ def sample_people(
 
 
 def sample_goals(
-    rng, layout, starts, distance=GOAL_DISTANCE, gap=0.3, region=None, joins=None, who="a person", region_name="people_goal"
-):
+    rng: np.random.Generator,
+    layout: Layout,
+    starts: ArrayLike,
+    distance: tuple[float, float] = GOAL_DISTANCE,
+    gap: float = 0.3,
+    region: np.ndarray | None = None,
+    joins: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    who: str = "a person",
+    region_name: str = "people_goal",
+) -> np.ndarray:
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
     region: boxes (M, 5) in which goals lie (default: anywhere). joins: a function of starts and goals (M, 2) that tells

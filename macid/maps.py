@@ -3,7 +3,7 @@
 import functools
 import math
 import pathlib
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -22,11 +22,17 @@ _YAML_BYTES = 1 << 16
 _Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
+if TYPE_CHECKING:
+    _Resolution = float
+else:
+    _Resolution = number("a number above 0 and of at most 100 m", gt=0, le=100)
+
+
 class _Occupancy(msgspec.Struct):
     """The keys of map_server's YAML that count here; it may have others. Defaults are map_server's."""
 
     image: Annotated[str, Meta(min_length=1)]
-    resolution: number("a number above 0 and of at most 100 m", gt=0, le=100)
+    resolution: _Resolution
     origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 0.0)
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.65
@@ -71,7 +77,9 @@ def map_files(name):
     if path.suffix not in _SUFFIXES:
         return []
     found = path.stat()
-    return [path] if path.suffix == ".toml" else [path, _image(path, _fields(path.resolve(), found.st_mtime_ns, found.st_size))]
+    if path.suffix == ".toml":
+        return [path]
+    return [path, _image(path, _fields(path.resolve(), found.st_mtime_ns, found.st_size))]
 
 
 def _changed(path):
@@ -134,8 +142,8 @@ def load_occupancy(file):
 
 
 def _boxes(solid, resolution, yaw):
-    """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their centre,
-    and boxes (B, 5) that cover them and the square outside them."""
+    """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their
+    centre, and boxes (B, 5) that cover them and the square outside them."""
     if yaw == 0:
         return resolution * max(solid.shape), rectangles(solid, resolution)
     height, width = np.array(solid.shape) * resolution
@@ -195,8 +203,8 @@ def _rectangles(solid, resolution):
     merged = cover.merged(solid, resolution, MAX_BOXES)
     if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
-            "to go. Smooth it, or lower its resolution."
+            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody "
+            "room to go. Smooth it, or lower its resolution."
         )
     return merged
 

@@ -6,10 +6,12 @@
 | speed | magnitude of the velocity | m/s |
 | yaw_rate | counter-clockwise | rad/s |
 | collision | 1 when touching anything, else 0 | - |
-| rays | 12 rays, 30 degrees apart, the first ahead, then counter-clockwise; for each its distance from the centre and the velocity of what it hits less one's own, body frame | m, m/s, m/s |
+| rays | 12 rays, of each the distance and the relative velocity | m, m/s, m/s |
 
-A ray that meets nothing within 7 m reads 7 m and no relative velocity. Walls and obstacles stand still, so that their
-relative velocity is one's own, reversed.
+The rays are 30 degrees apart, the first ahead, then counter-clockwise. A distance is from the person's centre. The
+relative velocity is that of what the ray hits less the person's own, in the body frame. A ray that meets nothing within
+7 m reads 7 m and no relative velocity. Walls and obstacles stand still, so that their relative velocity is one's own,
+reversed.
 """
 
 import math

@@ -17,6 +17,9 @@ _FORMATS = ("PNG", "BMP", "JPEG", "GIF", "TIFF", "WEBP")  # beside the portable 
 _OPAQUE_MODES = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535}  # Pillow's, and the value of white
 _BITS = {"1": 1, "4": 1, "2": 1, "5": 1, "3": 3, "6": 3}  # channels of P1 to P6
 
+# What this module, and Pillow for broken files, raise.
+_BROKEN = (ValueError, OSError, SyntaxError, EOFError, LookupError, ArithmeticError, TypeError, AttributeError)
+
 
 def solid_cells(path, mode, negate, free_thresh):
     """Which cells of the image `path` are not known to be free: (rows, columns) bool, the image's lowest row first.
@@ -54,8 +57,7 @@ def _brightness(path):
         return _portable(content) if re.match(rb"P[1-6]\s|P[1-6]#", content) else _picture(content)
     except UsageError:
         raise
-    except (ValueError, OSError, SyntaxError, EOFError, LookupError, ArithmeticError, TypeError, AttributeError) as error:
-        # ours, and what Pillow raises for broken files
+    except _BROKEN as error:
         problem = " ".join(str(error).split()).encode("ascii", "backslashreplace").decode()[:200]
     raise UsageError(f"Can't read the map image {shown_path(path)}: {problem.rstrip('.')}.")
 

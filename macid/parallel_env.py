@@ -5,6 +5,7 @@ import dataclasses
 import numbers
 import types
 import warnings
+from typing import Any
 
 import gymnasium
 import jax
@@ -12,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import forks
-from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
 from macid.documents import is_number, shown
 from macid.evaluate import level_seed
 from macid.layout import Layout, load_level
 from macid.observation import RAY_RANGE, RAYS, SIZE, observe
 from macid.pedestrians.learned import to_command
 from macid.policy import ACTIONS, to_velocity
-from macid.reward import RewardWeights
+from macid.reward import WEIGHTS, RewardWeights
 
 try:
     from pettingzoo import ParallelEnv
@@ -65,17 +66,27 @@ class CrowdParallelEnv(ParallelEnv):
     Raises ValueError for unknown names and values outside their domain.
     """
 
-    metadata = {"name": "macid_crowd_v0", "render_modes": []}
+    # PettingZoo has it as an attribute of instances.
+    metadata: dict[str, Any] = {"name": "macid_crowd_v0", "render_modes": []}  # noqa: RUF012
     render_mode = None
+    # None once the environment is closed, and most of them before the first reset; _check_usable and _check_begun tell.
+    crowd: Any  #: a macid.crowd.Crowd
+    _advance_jitted: Any
+    _look_jitted: Any
+    _rng: Any  # a numpy Generator
+    _seed: Any  # int, or None where none was given
+    _episode: Any  # a macid.crowd.Episode
+    _lcf: Any  # (K,) float32
+    _steps: Any  # int: since the reset
 
     def __init__(
         self,
-        level=2,
-        config=CrowdConfig(),
-        number=None,
-        reward="coordinated",
-        weights=RewardWeights(),
-        engine="native",
+        level: int | str | Layout = 2,
+        config: CrowdConfig = CONFIG,
+        number: int | None = None,
+        reward: str = "coordinated",
+        weights: RewardWeights = WEIGHTS,
+        engine: str = "native",
     ):
         if reward not in REWARDS:
             raise ValueError(f"Unknown reward '{reward}'. Choose one of {', '.join(REWARDS)}.")
@@ -102,7 +113,7 @@ class CrowdParallelEnv(ParallelEnv):
         }
         self._advance_jitted, self._look_jitted = jax.jit(self._advance), jax.jit(self._look)
         self._rng = self._seed = self._episode = self._lcf = self._steps = None
-        self._moments = []
+        self._moments: list[Any] = []
 
     def __reduce__(self):
         return type(self), self._arguments

@@ -44,7 +44,8 @@ def features(observed):
     rest = rest / xp.asarray([MAX_SPEED, MAX_YAW_RATE, 1.0], dtype=observed.dtype)
     rays = rays.reshape(*rays.shape[:-1], observation.RAYS, 3)
     closeness = 1.0 - rays[..., :1] / observation.RAY_RANGE
-    rays = xp.concatenate([closeness, rays[..., 1:] / MAX_SPEED], axis=-1).reshape(*rays.shape[:-2], 3 * observation.RAYS)
+    rays = xp.concatenate([closeness, rays[..., 1:] / MAX_SPEED], axis=-1)
+    rays = rays.reshape(*rays.shape[:-2], 3 * observation.RAYS)
     return xp.concatenate([goal / (distance + 1e-6), xp.log1p(distance) / _GOAL_SCALE, rest, rays], axis=-1)
 
 
@@ -139,7 +140,8 @@ class Policy:
 
         def seen(tensor):
             """A tensor's values as NumPy; None where it has none to look at."""
-            if torch.compiler.is_compiling() or torch.jit.is_tracing():
+            # torch documents is_tracing as public, but its types don't.
+            if torch.compiler.is_compiling() or torch.jit.is_tracing():  # pyright: ignore[reportPrivateImportUsage]
                 return None
             try:
                 return tensor.detach().double().cpu().numpy()
@@ -168,7 +170,8 @@ class Policy:
             def forward(self, observed, lcf):
                 weight = self.linear[0].weight
                 observed, lcf = taken(observed, "An observation", weight), taken(lcf, "An LCF", weight)
-                if not torch.jit.is_tracing():  # which takes a shape for values
+                # Tracing takes a shape for values. (torch documents is_tracing as public, but its types don't.)
+                if not torch.jit.is_tracing():  # pyright: ignore[reportPrivateImportUsage]
                     _check_shapes(observed.shape, lcf.shape)
                 if (values := seen(observed)) is not None:
                     _check_observed(values)
@@ -222,7 +225,8 @@ def understood(observed, lcf):
     else:
         _check_lcf(np.asarray(lcf))
     if _is_traced(observed):
-        least = xp.asarray([-MOST_READING] * 5 + [0.0, -MOST_READING, -MOST_READING] * observation.RAYS, dtype=np.float32)
+        ray = [0.0, -MOST_READING, -MOST_READING]
+        least = xp.asarray([-MOST_READING] * 5 + ray * observation.RAYS, dtype=np.float32)
         known = observed[..., _DISTANCES] < observation.RAY_RANGE
         observed = _within(xp, observed, least, MOST_READING)
     else:
@@ -331,10 +335,11 @@ def _made(path, weights, recipe):
     layers, document = _parsed(path, weights, recipe)
     seen = document.get("inputs", "features")
     # A robot's policy is told by its size before its recipe is looked at.
-    wanted = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
-    for given, wanted, does in ((layers[0][0].shape[0], wanted, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
-        if given != wanted:
-            raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {given} numbers, not {wanted}.")
+    width = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
+    taken, given = layers[0][0].shape[0], layers[-1][0].shape[1]
+    for does, found, wanted in (("takes", taken, width), ("gives", given, ACTIONS)):
+        if found != wanted:
+            raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {found} numbers, not {wanted}.")
     convert(document, _Recipe, f"the recipe '{path.with_suffix('.json')}'")
     if "period" in document:
         try:
@@ -355,7 +360,7 @@ class _Recipe(msgspec.Struct):
     name: _Name | msgspec.UnsetType = msgspec.UNSET
     method: _Name | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
-    inputs: Literal[tuple(INPUTS)] | msgspec.UnsetType = msgspec.UNSET
+    inputs: Literal["features", "observation"] | msgspec.UnsetType = msgspec.UNSET  # the names of INPUTS
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET

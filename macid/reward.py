@@ -4,6 +4,7 @@ import dataclasses
 
 from macid import geometry
 from macid.documents import MOST_NUMBER, is_number, shown
+from macid.geometry import Array
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +24,12 @@ class RewardWeights:
                 )
 
 
-def individual_reward(distance_reduced, arrived, collided, weights=RewardWeights()):
+WEIGHTS = RewardWeights()  #: those where nothing else is said
+
+
+def individual_reward(
+    distance_reduced: Array, arrived: Array, collided: Array, weights: RewardWeights = WEIGHTS
+) -> Array:
     """Eq. 5: w_d r_d + w_g I_g - w_c I_c, any shape. distance_reduced in metres; arrived, collided are indicators."""
     return weights.distance * distance_reduced + weights.goal * arrived - weights.collision * collided
 

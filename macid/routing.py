@@ -47,8 +47,9 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
 
 
 def grid_graph(occupied):
-    """The moves over a grid: `number` (rows, columns) of each free cell, -1 where `occupied` (rows, columns), and the sparse
-    graph (N, N) of moves to the eight neighbours, to and fro, without cutting of corners, with their lengths [cells].
+    """The moves over a grid: `number` (rows, columns) of each free cell, -1 where `occupied` (rows, columns), and the
+    sparse graph (N, N) of moves to the eight neighbours, to and fro, without cutting of corners, with their lengths
+    [cells].
 
     The cells are numbered row by row.
     """
@@ -68,7 +69,8 @@ def grid_graph(occupied):
 
 
 def shortest(graph, source, target, reach):
-    """Lengths (N,) of the shortest ways from `source` over a sparse `graph` (N, N), and the last node before each, (N,).
+    """Lengths (N,) of the shortest ways from `source` over a sparse `graph` (N, N), and the last node before each,
+    (N,).
 
     Only ways up to the length `reach` are looked for where `target` is among them; others are infinite.
     """
@@ -99,7 +101,8 @@ def _parts_of(counts, most):
 
 
 def lines_are_free(start, goals, boxes, radius=RADIUS):
-    """Whether a disc of `radius` [m] can move straight from `start` (2,) to each of `goals` (M, 2) among `boxes` (B, 5).
+    """Whether a disc of `radius` [m] can move straight from `start` (2,) to each of `goals` (M, 2) among `boxes` (B,
+    5).
 
     Boxes grow by the radius on each side, which is a little strict at their corners. A box that `start` is closer to
     grows up to `start` only, so that it still bars the way through it, but not the way along it or away from it.
@@ -158,8 +161,8 @@ def refuse_blocked_routes(layout):
             first = int(np.argmin(joined))
             start, end = np.round(route[first : first + 2], 2).tolist()
             raise NoFreeSpace(
-                f"Layout '{layout.name}': routes[{number}] has no way for a person, of radius {RADIUS} m, from {start} to "
-                f"{end}."
+                f"Layout '{layout.name}': routes[{number}] has no way for a person, of radius {RADIUS} m, from {start} "
+                f"to {end}."
             )
 
 
@@ -194,7 +197,8 @@ class Router:
 
     @functools.cached_property
     def _grid(self):
-        """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, to and fro, in metres."""
+        """Centres (N, 2) of the free cells and the sparse graph of moves to the eight neighbours, to and fro, in
+        metres."""
         occupied = occupancy_grid(self.layout, radius=self.radius + _MARGIN)
         if occupied.all():
             raise NoFreeSpace(f"Map '{self.layout.name}' has no free cell.")
@@ -205,7 +209,7 @@ class Router:
     @functools.cached_property
     def _tree(self):
         """A tree of the free cells' centres, which finds the centre nearest to a place."""
-        return spatial.cKDTree(self._grid[0])
+        return spatial.cKDTree(self._grid[0])  # pyright: ignore[reportAttributeAccessIssue] (compiled, without a stub)
 
     @functools.cached_property
     def _parts(self):

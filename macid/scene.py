@@ -42,7 +42,10 @@ class PersonConfig:
     friction: float = 0.4  # sliding, with people and walls
 
 
-def base_spec(size):
+PERSON = PersonConfig()  #: a person where nothing else is said
+
+
+def base_spec(size: float) -> mujoco.MjSpec:
     """An empty world with the project's physics options, lights, sky and a floor of side `size` [m]."""
     spec = mujoco.MjSpec()
     spec.modelname = "crowd"

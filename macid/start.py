@@ -51,7 +51,7 @@ class _Interrupts:
 
         while signals := os.read(pipe, 64):
             self.came += signals.count(int(signal.SIGINT))
-            if self.came > 1 or self.came == 1 and not self.waits():
+            if self.came > 1 or (self.came == 1 and not self.waits()):
                 sleep(_ANSWER)
                 if self.raised:
                     sleep(_CLEANING)
@@ -144,7 +144,7 @@ def _flush(stream):
     try:
         stream.flush()
     except Exception:  # in whatever state it is, it is left
-        pass
+        return
 
 
 def _unraisable(what):
@@ -194,7 +194,7 @@ class deferred:
             signal.signal(signal.SIGINT, self._before)
 
     def _note(self, signum, frame):
-        if self._came or not self._worth():
+        if (self._came or not self._worth()) and callable(self._before):
             self._before(signum, frame)
         self._came = True
 
@@ -257,6 +257,7 @@ def bson_command():
         print(f"bson: error: {problem}. {CURE}.", file=sys.stderr)
         return 2
     spec = util.spec_from_file_location("_bson_doctor", file)
+    assert spec is not None and spec.loader is not None  # of a file that ends in .py
     doctor = util.module_from_spec(spec)
     spec.loader.exec_module(doctor)
     return doctor.command()

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from macid import drawing, geometry, metrics, scene
-from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
 from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.evaluate import level_name, level_seed
 from macid.files import UsageError
@@ -97,14 +97,14 @@ class Recording:
         return int(np.flatnonzero(self.walking[:, person])[-1])
 
 
-def record(pedestrian, level, config=CrowdConfig(), seed=0):
+def record(pedestrian: str, level: int | str, config: CrowdConfig = CONFIG, seed: int = 0) -> Recording:
     """A Recording of the episode that `macid evaluate --episodes 1` plays with the same arguments.
 
     config's `number` is overridden by the level's. Raises UsageError where physics fails.
     """
     controller = make_controller(pedestrian, config.period)
     layout = load_level(level)
-    config = dataclasses.replace(config, number=layout.pedestrians)
+    config = dataclasses.replace(config, number=layout.people)
     crowd = Crowd(layout, config)
     start = crowd.reset(np.random.default_rng((seed, *level_seed(level))))
     end, moments = crowd.rollout(start, controller, record=snapshot)
@@ -113,7 +113,8 @@ def record(pedestrian, level, config=CrowdConfig(), seed=0):
     last = snapshot(crowd.engine.read(end.physics), end)
     fields = [np.concatenate([each, final[None]])[:, 0] for each, final in zip(moments, last, strict=True)]
     lcf, goals = np.asarray(start.lcf)[0], np.asarray(start.goals)[0]
-    return Recording(pedestrian, level, seed, layout, config.period, tuple(config.lcf), lcf, goals, *fields)
+    least, most = config.lcf
+    return Recording(pedestrian, level, seed, layout, config.period, (least, most), lcf, goals, *fields)
 
 
 def worth_following(recording, step=0):

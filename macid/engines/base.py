@@ -136,7 +136,8 @@ class CrowdEngine:
 
 
 def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
-    """The CrowdState of the first `number` people in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B, 5)."""
+    """The CrowdState of the first `number` people in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B,
+    5)."""
     pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
     rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
     position = pose[..., :2]
@@ -144,8 +145,8 @@ def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
 
 
 def repeat(step, carried, number):
-    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which takes
-    no longer to compile however many steps it has."""
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which
+    takes no longer to compile however many steps it has."""
     if number > _UNROLLED:
         return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
     for _ in range(number):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import pathlib
 import time
+from typing import Any
 
 import numpy as np
 
@@ -137,7 +138,8 @@ class Board:
     """
 
     def __init__(self, folder, curve=(), done=None):
-        self._folder, self._curve, self._writer = check_folder(pathlib.Path(folder) / _BOARD), list(curve), None
+        self._folder, self._curve = check_folder(pathlib.Path(folder) / _BOARD), list(curve)
+        self._writer: Any = None
         self._done = (next(iter(curve[-1].values())) if curve else 0) if done is None else done
 
     def __enter__(self):
@@ -149,7 +151,7 @@ class Board:
 
     def write(self, row):
         """Adds `row`, {name: number}, and writes it to the disk."""
-        if self._writer is None:
+        if not self._writer:
             self._open()
         self._add(row)
         self._writer.flush()
@@ -180,8 +182,9 @@ def check_tensorboard():
 def _tensorboard():
     """TensorBoard's writer of files, and what goes into them."""
     try:
-        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-        from tensorboard.compat.proto.summary_pb2 import Summary
+        # Protocol buffers make these classes as their modules load, where no type checker sees them.
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog  # pyright: ignore[reportAttributeAccessIssue]
+        from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
         from tensorboard.summary.writer.event_file_writer import EventFileWriter
     except ModuleNotFoundError:
         raise UsageError("--tensorboard needs tensorboard: pip install 'bson-macid[tensorboard]'.") from None

@@ -106,5 +106,6 @@ KIND: Kind[Method] = Kind("method", METHODS, own="method", check=_own)
 
 
 def get_method(name: str) -> Method:
-    """The method `name`: one of METHODS, or one's own Method, `module:method` or `file.py:method`. Raises UsageError."""
+    """The method `name`: one of METHODS, or one's own Method, `module:method` or `file.py:method`. Raises
+    UsageError."""
     return KIND.load(name)

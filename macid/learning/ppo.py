@@ -11,8 +11,9 @@ from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
 
 @dataclasses.dataclass(frozen=True)
 class PpoConfig:
-    """Hyperparameters. What the paper gives (sec. IV-C), without annealing, scaling, clipping or standardising anything but
-    the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns better."""
+    """Hyperparameters. What the paper gives (sec. IV-C), without annealing, scaling, clipping or standardising anything
+    but the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns
+    better."""
 
     learning_rate: float = 1e-3
     final_learning_rate: float = 5e-5  # the rate is annealed to it linearly over the training
@@ -89,7 +90,8 @@ def init_mlp(key, sizes, last_scale):
 
 
 def init_parameters(key, config, critics=("individual", "neighborhood"), mean_field=False, size=FEATURES):
-    """The policy network and a value network for each of `critics`, all fed `size` numbers of what is seen, and the LCF."""
+    """The policy network and a value network for each of `critics`, all fed `size` numbers of what is seen, and the
+    LCF."""
     key_policy, *key_critics = jax.random.split(key, 1 + len(critics))
     seen = size + 1
     critic = seen + (size + ACTIONS if mean_field else 0)

@@ -37,7 +37,7 @@ from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
 from macid.policy import INPUTS, Policy, inputs, load_policy, mlp, to_velocity
-from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
+from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
 _CELL = 1.0  # side of the squares of the map that share a list of goals [m]
@@ -45,12 +45,13 @@ _GOALS = 64  # in such a list
 _STARTS = 32  # crowds from which episodes begin
 
 
-# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the paper's
-# lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it 1.3 s.
+# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the
+# paper's lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it
+# 1.3 s.
 PRESETS = {
     "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
-    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of ten
-    # times as many each.
+    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of
+    # ten times as many each.
     "gpu": {
         "ppo": learning.PpoConfig(batch=32_000, epochs=2, lam=0.985),
         "nworld": 1024,
@@ -58,8 +59,8 @@ PRESETS = {
         "episode": 40,
         "agent_steps": 300_000_000,
     },
-    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes, constant rate,
-    # eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
+    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes,
+    # constant rate, eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
     "paper": {
         "ppo": learning.PpoConfig(
             final_learning_rate=1e-3,
@@ -94,13 +95,14 @@ class TrainConfig:
     rollout: int = 125  # decisions between updates
     episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
     agent_steps: int = 20_000_000  # budget
-    reward: RewardWeights = RewardWeights()
+    reward: RewardWeights = WEIGHTS
     ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
     inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
 
     @property
     def name(self):
-        """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
+        """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo",
+        "macid-10hz"."""
         presets = [
             name
             for name, fields in PRESETS.items()
@@ -128,8 +130,8 @@ class TrainConfig:
 
 
 def preset(name, **fields):
-    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError, naming the
-    valid presets."""
+    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError,
+    naming the valid presets."""
     if name not in PRESETS:
         raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
     whole = {**PRESETS[name], **fields}
@@ -162,7 +164,7 @@ class TrainState(NamedTuple):
 
 
 # Seeds trained at once lie along a leading axis of all but the iteration, which they share.
-_SEEDS = TrainState(0, 0, 0, 0, 0, 0, None)
+_SEEDS = TrainState._make((0, 0, 0, 0, 0, 0, None))
 
 
 def _figures(walk):
@@ -178,17 +180,18 @@ def _figures(walk):
 
 
 class Trainer:
-    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several stacked.
+    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several
+    stacked.
 
-    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the seeds,
-    which then run apart. Raises ValueError where it can't.
+    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the
+    seeds, which then run apart. Raises ValueError where it can't.
     """
 
     def __init__(self, config: TrainConfig, devices=None):
         self.config, self.method = config, get_method(config.method)
         self._see, self._seen = INPUTS[config.inputs]
         layout = load_level(config.level)
-        self.number = layout.pedestrians
+        self.number = layout.people
         model = scene.crowd_spec(layout, self.number).compile()
         self.engine = make_engine(config.engine, model, self.number, layout.boxes, config.nworld)
         if devices and not self.engine.shards:
@@ -242,12 +245,13 @@ class Trainer:
 
     def _spread(self, states):
         """Stacked TrainStates, each seed or, where they don't divide, each seed's worlds on a device of their own."""
-        if self._mesh is None:
+        mesh = self._mesh
+        if mesh is None:
             return states
-        seeds, devices = len(states.walk.lcf), self._mesh.size
+        seeds, devices = len(states.walk.lcf), mesh.size
 
         def laid(tree, *axes):
-            sharding = jax.sharding.NamedSharding(self._mesh, jax.sharding.PartitionSpec(*axes))
+            sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes))
             return jax.tree.map(lambda leaf: jax.lax.with_sharding_constraint(leaf, sharding), tree)
 
         if seeds % devices == 0:
@@ -416,8 +420,8 @@ def seeds_of(config, seeds):
 def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, tensorboard=False):
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
-    Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
-    the first seed's. Several devices share the work, with an engine that can (MJX).
+    Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a
+    checkpoint of all in the first seed's. Several devices share the work, with an engine that can (MJX).
 
     tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
     resume: goes on from the checkpoint, if there is one, exactly where it stopped, and one seed after the other where
@@ -425,9 +429,10 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     another configuration's or another process trains there,
     FloatingPointError if the training diverges.
 
-    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over a
-    batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
-    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of two.
+    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over
+    a batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
+    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of
+    two.
     """
     configs = seeds_of(config, seeds)
     paths = [pathlib.Path(out) / folder_of(each) for each in configs]
@@ -453,8 +458,8 @@ def _begun_apart(paths):
 def train_apart(executor, configs, out, resume=False, show=print):
     """Trains `configs` side by side on an executor of several workers; returns their folders.
 
-    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at once, as
-    one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
+    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at
+    once, as one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
     """
     groups, left = [], list(configs)
     while left:
@@ -464,13 +469,16 @@ def train_apart(executor, configs, out, resume=False, show=print):
         group = [each for each in left if plain(each) in together]
         if len(group) < len(together):
             raise UsageError(
-                f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: go on "
-                "with all of them, or use another --out."
+                f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: "
+                "go on with all of them, or use another --out."
             )
         group = group or [first]  # of another configuration, which the training itself refuses
         groups.append(Group(_train_here, tuple(group)))
         left = [each for each in left if each not in group]
-    told = lambda config, line: show(f"{folder_of(config)}: {line}")
+
+    def told(config, line):
+        show(f"{folder_of(config)}: {line}")
+
     return train_groups(executor, groups, out, resume, told, is_done)
 
 
@@ -542,7 +550,8 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
                 last_show = now
                 figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
                 show(
-                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
+                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  "
+                    f"{seeds * steps / spent:,.0f} agent-steps/s  {figures}"
                 )
             if now - last_save > 60 * minutes_between_checkpoints:
                 last_save = now
@@ -586,7 +595,8 @@ def _restored(found, noted, path, configs, like):
     try:
         check_arrays(found, wanted)
         states = jax.tree.unflatten(
-            jax.tree.structure(like), [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like))]
+            jax.tree.structure(like),
+            [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like), strict=True)],
         )
         done = {len(curve) for curve in noted["curves"]} | {int(states.iteration)}
         if len(noted["curves"]) != len(configs) or len(done) != 1:

@@ -205,7 +205,7 @@ class ORCA:
             around = jax.lax.cond(
                 jnp.any(blocked),
                 lambda limits=limits, asked=asked: best_velocity(normal, limits, hard, asked, self.max_speed),
-                lambda: chosen,
+                lambda chosen=chosen: chosen,
             )
             chosen = jnp.where(blocked[:, None], around, chosen)
             blocked &= norm(chosen) < self.blocked * speed

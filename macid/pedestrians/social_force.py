@@ -142,10 +142,8 @@ class SocialForce:
     def _from_people(self, position, velocity, direction):
         r = position[..., :, None, :] - position[..., None, :, :]  # (..., K, K, 2) from the second to the first
         r = unit(r) * jnp.maximum(norm(r) - 2 * self.body_radius, _CLOSEST)[..., None]
-        if self.step_by_progress:
-            speed = jnp.maximum(jnp.sum(velocity * direction, axis=-1), 0.0)
-        else:
-            speed = norm(velocity)
+        progress = jnp.maximum(jnp.sum(velocity * direction, axis=-1), 0.0)
+        speed = progress if self.step_by_progress else norm(velocity)
         step = speed[..., None] * self.step_time * direction
         b, gradient = ellipse(r, step[..., None, :, :])
         steepness = self.person_strength / self.person_range * jnp.exp(-b / self.person_range)
