@@ -5,7 +5,8 @@ import itertools
 import os
 import platform
 import time
-from typing import cast
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class _Stopwatch:
         return timed
 
 
-def measure_speed(config, sensors, nworld, seconds=2.0):
+def measure_speed(config: TaskConfig, sensors: Sequence[Any], nworld: int, seconds: float = 2.0) -> tuple[float, float]:
     """Control steps/s of all worlds together, and MuJoCo's share of the wall time, stepping for about `seconds` [s].
 
     Counted are physics, pedestrians, sensors, observation and reward, and the resets of worlds that end.
@@ -64,7 +65,7 @@ def measure_speed(config, sensors, nworld, seconds=2.0):
     return steps * nworld / elapsed, watch.seconds / elapsed
 
 
-def machine():
+def machine() -> str:
     """One line on the machine and the versions."""
     model = platform.processor() or platform.machine()
     try:
@@ -76,7 +77,14 @@ def machine():
     return f"{model}, {os.cpu_count()} CPUs; mujoco {made_with['mujoco']}, jax {made_with['jax']}"
 
 
-def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0, model="macid", show=print):
+def run(
+    people: Sequence[int] = PEOPLE,
+    batches: Sequence[int] = BATCHES,
+    sensors: Sequence[str] = ("none", "lidar2d"),
+    seconds: float = 2.0,
+    model: str = "macid",
+    show: Callable[[str], object] = print,
+) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
     Raises ValueError for a sensor set that is not among SENSORS.
@@ -96,7 +104,9 @@ def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0
     return rows
 
 
-def measure_learning(algo, config, nworld, seconds=20.0):
+def measure_learning(
+    algo: str, config: dict[str, Any], nworld: int, seconds: float = 20.0
+) -> tuple[float, float, float]:
     """Control steps/s of all worlds together while `algo` learns in them for about `seconds` [s] (whole rounds of
     collecting and updating), and the shares of the wall time that its updates and MuJoCo take.
 
@@ -147,7 +157,14 @@ def measure_learning(algo, config, nworld, seconds=20.0):
     return (timer.steps - timer.first) / elapsed, 1.0 - timer.collecting / elapsed, watch.seconds / elapsed
 
 
-def run_learning(algos=LEARNERS, people=(24,), batches=(16,), seconds=20.0, model="macid", show=print):
+def run_learning(
+    algos: Sequence[str] = LEARNERS,
+    people: Sequence[int] = (24,),
+    batches: Sequence[int] = (16,),
+    seconds: float = 20.0,
+    model: str = "macid",
+    show: Callable[[str], object] = print,
+) -> list[dict[str, Any]]:
     """Prints the table of training speeds, a line a case as it is measured; returns its rows as dicts.
 
     Raises ValueError for an algorithm that is not among LEARNERS.

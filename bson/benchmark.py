@@ -17,9 +17,10 @@ import json
 import pathlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from bson.episodes.record import Episode
 from bson.results import Results
 from macid.executors import Executor, make_executor
 from macid.files import (
@@ -208,7 +209,7 @@ def _bar(name, several, quiet, cell, without_robot, total, done):
         yield progress
 
 
-def to_film(played, number):
+def to_film(played: Sequence[Sequence[Episode]], number: int) -> list[tuple[int, Episode, str]]:
     """Which episodes to film, as (the cell's place, the episode, what to tell of it).
 
     played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
@@ -394,7 +395,7 @@ def film(
 
 
 @contextlib.contextmanager
-def agents_extra():
+def agents_extra() -> Iterator[None]:
     """Tells what to install where the extra `agents` is missing."""
     try:
         yield

@@ -5,6 +5,7 @@ import dataclasses
 import pathlib
 import shlex
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from macid import start
@@ -378,7 +379,7 @@ def _add_evaluation(command, out, suite):
     command.set_defaults(run=_evaluate)
 
 
-def parser():
+def parser() -> Parser:
     """The command's parser."""
     defaults: dict[str, Any] = {"formatter_class": HelpFormatter}
     root = Parser(prog="bson", description="A benchmark for robots that drive among people.")
@@ -489,7 +490,7 @@ def parser():
 _DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
     if argv is None:
         return start.run("bson", start.bson_command)

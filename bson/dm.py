@@ -12,8 +12,9 @@ from dm_env import specs
 
 from bson.env import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.episodes.session import Session
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import make_track
+from bson.tracks import LocalTrack, make_track
 from macid.drawing import close_before_all_else
 
 
@@ -45,7 +46,7 @@ Physics, MjModel = _import_dm_control()
 close_before_all_else()  # dm_control has an EGL of its own, which it ends at exit
 
 
-def load(track="local", sensor="lidar2d", seed=None, **config):
+def load(track: str = "local", sensor: Any = "lidar2d", seed: int | None = None, **config: Any) -> "Environment":
     """The environment of a track and a sensor (as in `gymnasium.make`'s ids) and TaskConfig's fields `config`.
 
     seed: of the first episode; later episodes' seeds come from it, as in `bson.env.BsonEnv`. Raises ValueError, naming
@@ -60,7 +61,7 @@ class Environment(Rebuilt, dm_env.Environment):
     The discount is 0 at the goal, and 1 at the horizon, where the episode is cut off.
     """
 
-    def __init__(self, config: TaskConfig, track, seed=None):
+    def __init__(self, config: TaskConfig, track: LocalTrack, seed: int | None = None):
         self._arguments = {"config": config, "track": track, "seed": seed}
         seed = plain_seed(seed)
         self._session, self._track, self._seed = Session(config, track, seeds=[seed]), track, seed
@@ -84,7 +85,7 @@ class Environment(Rebuilt, dm_env.Environment):
                 np.copyto(made.physics.data.sensordata, self.physics.data.sensordata)
         return made
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         if self.physics is not None:
             self.physics.free()
@@ -92,11 +93,11 @@ class Environment(Rebuilt, dm_env.Environment):
         self._session.close()
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World (nworld = 1), for whoever needs more than the observation."""
         return self._session.world
 
-    def reset(self):
+    def reset(self) -> dm_env.TimeStep:
         """Begins an episode."""
         (seed,) = self._session.next_seeds([0]) if self._seed is None else (self._seed,)
         self._seed, self._over = None, False
@@ -104,7 +105,7 @@ class Environment(Rebuilt, dm_env.Environment):
         self._mirror()
         return dm_env.restart(first(observation))
 
-    def step(self, action):
+    def step(self, action: Any) -> dm_env.TimeStep:
         """One control step under `action` (2,) in [-1, 1]; after an episode's last step, the next episode's first."""
         if self._over:
             return self.reset()

@@ -10,6 +10,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
 
 from macid import start
 from macid.files import run_command, start_mujoco
@@ -154,7 +155,7 @@ CHECKS = (
 _OF_BSON = ("versions", "assets", "physics", "sensors", "cameras")  # checks that import it
 
 
-def run(show=print):
+def run(show: Callable[[str], object] = print) -> bool:
     """Prints a line a check; returns whether all that is needed is there (pictures and cameras are not)."""
     well, ours = True, start.shadowed() is None
     for name, check, needed, remedy in CHECKS:
@@ -169,7 +170,7 @@ def run(show=print):
     return well
 
 
-def command():
+def command() -> int:
     """`bson doctor` as a command; its exit code."""
 
     def examine():

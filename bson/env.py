@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
-from bson.simulation.world import check_worlds
+from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
 from bson.tracks import make_track, sensor_documents
 from macid.documents import shown
@@ -26,7 +26,7 @@ def _check_render_mode(render_mode):
         raise ValueError(f"Unknown render_mode {render_mode!r}. Choose None or 'rgb_array'.")
 
 
-def checked_action(action, shape):
+def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     """`action` as floats of `shape`. Raises ValueError for what are no finite numbers of that shape."""
     try:
         action = np.asarray(action, dtype=float)
@@ -39,7 +39,7 @@ def checked_action(action, shape):
     return action
 
 
-def check_seed(seed):
+def check_seed(seed: Any) -> None:
     """Raises ValueError for what is no seed, or list of seeds, of an episode."""
     seeds = [] if seed is None else np.ravel(np.array(seed, dtype=object))
     for one in seeds:
@@ -47,7 +47,7 @@ def check_seed(seed):
             raise ValueError(f"A seed must be a whole number from 0 to 2**62 - 1, not {one!r}.")
 
 
-def plain_seed(seed):
+def plain_seed(seed: Any) -> Any:
     """`seed` as a Python int where it is one of NumPy's. Raises ValueError as check_seed does."""
     check_seed(seed)
     return int(seed) if isinstance(seed, np.integer) else seed
@@ -71,7 +71,7 @@ def _episode_config(config, track, options):
     return changed
 
 
-def frames_per_second(config):
+def frames_per_second(config: TaskConfig) -> float:
     """Of a film of what happens in `config`, as fast as it happens."""
     fps = 1.0 / config.control_period
     return round(fps) if abs(fps - round(fps)) < 1e-6 else fps
@@ -204,7 +204,14 @@ class BsonEnv(Specified, gymnasium.Env):
     metadata = _METADATA
     _not_copied = ("_film",)
 
-    def __init__(self, track="local", sensor="lidar2d", render_mode=None, seed=None, **config):
+    def __init__(
+        self,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: int | None = None,
+        **config: Any,
+    ):
         _check_render_mode(render_mode)
         self._arguments = {"track": track, "sensor": sensor, "render_mode": render_mode, "seed": seed, **config}
         seed = plain_seed(seed)
@@ -220,11 +227,13 @@ class BsonEnv(Specified, gymnasium.Env):
         self.action_space = ACTION_SPACE
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World (nworld = 1), for whoever needs more than the observation."""
         return self._session.world
 
-    def reset(self, *, seed=None, options=None):
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begins an episode; see the class."""
         seed = plain_seed(seed)
         super().reset(seed=seed)
@@ -243,7 +252,7 @@ class BsonEnv(Specified, gymnasium.Env):
             self._recorder = Recorder(self._session, 0)
         return first(observation), self._info()
 
-    def step(self, action):
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step; see the class."""
         action = checked_action(action, (2,))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
@@ -252,7 +261,7 @@ class BsonEnv(Specified, gymnasium.Env):
             self._recorder.snap()
         return first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
-    def render(self):
+    def render(self) -> np.ndarray | None:
         """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
         if self.render_mode is None or self._recorder is None:
             return None
@@ -262,7 +271,7 @@ class BsonEnv(Specified, gymnasium.Env):
             self._film = Film(self.world.scene)
         return self._film.frame(self._recorder.episode(), -1)
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         self._close_film()
         self._recorder = None
@@ -291,14 +300,14 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     def __init__(
         self,
-        num_envs=1,
-        track="local",
-        sensor="lidar2d",
-        render_mode=None,
-        seed=None,
-        autoreset_mode=AutoresetMode.NEXT_STEP,
-        nthread=0,
-        **config,
+        num_envs: int = 1,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        nthread: int = 0,
+        **config: Any,
     ):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
@@ -321,7 +330,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World, for whoever needs more than the observation."""
         return self._session.world
 
@@ -333,7 +342,9 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
             raise ValueError(f"reset needs a seed, or {self.num_envs} of them, not {len(seeds)}.")
         return seeds
 
-    def reset(self, *, seed=None, options=None):
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
         options = _episode_options(options)
         mask = options.pop("reset_mask", None)
@@ -364,7 +375,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.metadata = {**self.metadata, "render_fps": frames_per_second(config)}
         return self._session.observe(self._all), self._infos(self._all)
 
-    def step(self, actions):
+    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step of every world. In the mode NextStep, a world whose episode ended begins its next
         instead."""
         actions = checked_action(actions, (self.num_envs, 2))
@@ -388,7 +399,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
                 self._ended = done
         return self._session.observe(self._all), reward, terminated, truncated, {**self._infos(self._all), **extra}
 
-    def close_extras(self, **kwargs):
+    def close_extras(self, **kwargs: Any) -> None:
         """Frees all that it holds. Nothing can be stepped or reset then."""
         self._session.close()
 
@@ -415,6 +426,6 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         }
 
 
-def first(observation):
+def first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The observation of the first world, of a batch's."""
     return {name: value[0] for name, value in observation.items()}

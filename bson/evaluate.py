@@ -3,20 +3,33 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from bson.agents.contract import Setting, act, made_for, reset_agent
-from bson.episodes.record import Recorder
+from bson.episodes.record import Episode, Recorder
 from bson.episodes.session import Session
-from bson.metrics import METRICS, measure, metrics_of, summarise
+from bson.metrics import METRICS, Metric, measure, metrics_of, summarise
 from bson.simulation.world import World
+from bson.task import TaskConfig
+from bson.tracks import LocalTrack
 from macid import files
 
 BATCH = 16  # worlds at once
 
 
-def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=None, batch=BATCH, nthread=0):
+def run_episodes(
+    make_agent: Callable[[], Any],
+    config: TaskConfig,
+    track: LocalTrack,
+    seeds: Sequence[int],
+    agent_name: str = "agent",
+    progress: Callable[..., object] | None = None,
+    batch: int = BATCH,
+    nthread: int = 0,
+) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
@@ -59,7 +72,13 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     return [done[number] for number in range(len(seeds))]
 
 
-def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
+def pair(
+    config: TaskConfig,
+    episodes: Sequence[Episode],
+    progress: Callable[..., object] | None = None,
+    batch: int = BATCH,
+    nthread: int = 0,
+) -> list[Episode]:
     """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
@@ -93,7 +112,14 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
     return paired
 
 
-def results(agent, suite, cells, played, own=(), **more):
+def results(
+    agent: str,
+    suite: str,
+    cells: Sequence[Any],
+    played: Sequence[Sequence[Episode]],
+    own: Sequence[Metric] = (),
+    **more: Any,
+) -> dict[str, Any]:
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
     played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a
@@ -159,7 +185,7 @@ def _each_person(episode):
     return {"people": people} if people else {}
 
 
-def sound(episodes):
+def sound(episodes: Sequence[Episode]) -> list[Episode]:
     """Those of `episodes` in which physics did not fail."""
     return [episode for episode in episodes if not episode.fault]
 
@@ -178,12 +204,12 @@ def _summary(measured):
     }
 
 
-def versions():
+def versions() -> dict[str, str]:
     """What the results were made with."""
     return files.versions("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
 
 
-def format_summary(content):
+def format_summary(content: dict[str, Any]) -> str:
     """The score, then the other metrics by group, as plain text."""
     count = len(content["episodes"])
     lines = [

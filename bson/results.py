@@ -173,7 +173,7 @@ def _value(number):
     return math.inf if number is None else number
 
 
-def read_results(path):
+def read_results(path: str | pathlib.Path) -> dict[str, Any]:
     """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
     try:
         content = parse(path, "results", read_bytes(path, "results", MOST_BYTES), ".json")

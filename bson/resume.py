@@ -6,6 +6,8 @@ import io
 import json
 import os
 import pathlib
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +42,7 @@ def _digest(contents):
     return digest.hexdigest()[:12]
 
 
-def files_digest(basis):
+def files_digest(basis: dict[str, Any]) -> str:
     """A hash of the settings, maps, robots and pedestrians' weights that results with this `basis` are of."""
     content = json.dumps([basis["cells"], basis["pedestrians"]], sort_keys=True)
     return _digest([content.encode()])
@@ -53,7 +55,7 @@ def _agent_files(name):
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
 
-def basis(agent, track, cells, paired):
+def basis(agent: str, track: tuple[str, Any], cells: Sequence[Any], paired: bool) -> dict[str, Any]:
     """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
 
     agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and
@@ -84,7 +86,7 @@ class Unfinished:
     anew.
     """
 
-    def __init__(self, out, basis, resume):
+    def __init__(self, out: str | pathlib.Path, basis: dict[str, Any], resume: bool):
         """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
         self._folder, self._basis = check_folder(out / "unfinished"), basis
         self._key = json.dumps(basis, sort_keys=True).encode()
@@ -109,7 +111,7 @@ class Unfinished:
     def _seal(self, content):
         return hashlib.sha256(self._key + content).digest()
 
-    def save(self, cell, episode):
+    def save(self, cell: Any, episode: Episode) -> None:
         """Keeps an episode of `cell`, or replaces it."""
         if not self._goes_on:
             self.discard()
@@ -121,7 +123,7 @@ class Unfinished:
         np.savez(content, **{name: value for name, value in fields.items() if value is not None})
         write_bytes(self._path(cell, episode.seed), content.getvalue() + self._seal(content.getvalue()))
 
-    def load(self, cell, seed):
+    def load(self, cell: Any, seed: int) -> Episode | None:
         """The Episode `seed` of `cell` as it was saved, or None."""
         path = self._path(cell, seed)
         if not self._goes_on or not path.is_file():
@@ -133,7 +135,7 @@ class Unfinished:
         with np.load(io.BytesIO(content)) as fields:
             return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
 
-    def discard(self):
+    def discard(self) -> None:
         """Removes it all."""
         remove_leftovers(self._folder)
         if not self._folder.is_dir():

@@ -33,7 +33,7 @@ import functools
 import hashlib
 import math
 import pathlib
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import msgspec
@@ -44,6 +44,7 @@ from msgspec import Meta
 from macid import assets, geometry
 from macid.documents import check_readable, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
+from macid.geometry import Array
 from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
@@ -171,7 +172,7 @@ class RobotConfig:
             )
 
     @property
-    def radius(self):
+    def radius(self) -> float:
         """Of the circle around the footprint [m]."""
         return float(np.hypot(self.half_length, self.half_width))
 
@@ -192,12 +193,12 @@ class Robot:
     forwards: tuple[float, ...] = ()  # of each wheel: 1, or -1 where a positive turn of its hinge drives back
 
     @property
-    def wheels(self):
+    def wheels(self) -> tuple[str, ...]:
         """The hinges of the wheels, in the order of `wheel_speeds`: the left ones first."""
         return self.left + self.right
 
 
-def add_robot(spec: mujoco.MjSpec, robot, name="robot", hidden=False) -> None:
+def add_robot(spec: mujoco.MjSpec, robot: "Robot | None", name: str = "robot", hidden: bool = False) -> None:
     """Attach the Robot to the world of `spec`, under a free joint `name`; its elements are called `name/...`.
 
     Joints and actuators of bodies that `spec` already has come before the robot's. hidden: as `hide_robot` leaves it.
@@ -238,7 +239,7 @@ def _prepared(robot, hidden):
     return model
 
 
-def hide_robot(spec, name="robot"):
+def hide_robot(spec: mujoco.MjSpec, name: str = "robot") -> None:
     """Takes from `spec` what of the robot can only be seen, and hides the rest of it from rays and cameras: no sensor
     sees the robot that carries it. Motion stays what it was, bit for bit."""
     _hide(spec, spec.joint(name).parent)
@@ -379,7 +380,7 @@ def _add_mounts(model, robot, base):
         site.parent.add_camera(name="front", pos=site.pos, quat=turned, fovy=_FRONT_FIELD)
 
 
-def robot_names():
+def robot_names() -> list[str]:
     """Names of the descriptions in assets/robots, sorted."""
     return assets.names("robots", ".toml")
 
@@ -439,7 +440,7 @@ def _model(path, fields):
     return model
 
 
-def robot_config(value):
+def robot_config(value: Any) -> RobotConfig:
     """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed
     of the description `name` (of the Jackal's without). Raises ValueError."""
     names = [field.name for field in dataclasses.fields(RobotConfig)]
@@ -456,7 +457,7 @@ def robot_config(value):
     )
 
 
-def describe(config):
+def describe(config: RobotConfig) -> Robot:
     """The Robot whose description `config` names, with the numbers of `config`."""
     return dataclasses.replace(load_robot(config.name), config=config)
 
@@ -471,7 +472,8 @@ def _fields(path, _changed):
     for table, first, second in ((drive, "gain", "max_torque"), (footprint, "bottom", "top")):
         if (getattr(table, first) is None) != (getattr(table, second) is None):
             raise UsageError(f"{where}: give both of {first} and {second}, or neither.")
-    if footprint.top is not None and not footprint.bottom < footprint.top:
+    bottom, top = footprint.bottom, footprint.top
+    if bottom is not None and top is not None and not bottom < top:
         raise UsageError(
             f"{where}: footprint.bottom and .top must be heights above 0 in rising order, not {footprint.bottom:g} and "
             f"{footprint.top:g}."
@@ -500,8 +502,8 @@ def _load(name, path, changed, _model_changed):
         base=fields.base,
         left=tuple(drive.left),
         right=tuple(drive.right),
-        motor=None if drive.gain is None else (drive.gain, drive.max_torque),
-        height=None if footprint.top is None else (footprint.bottom, footprint.top),
+        motor=None if drive.gain is None or drive.max_torque is None else (drive.gain, drive.max_torque),
+        height=None if footprint.bottom is None or footprint.top is None else (footprint.bottom, footprint.top),
         mounts=tuple((mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()),
         digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
@@ -620,7 +622,7 @@ def __getattr__(name):
 
 
 @functools.lru_cache(64)
-def site_pose(robot, site):
+def site_pose(robot: Robot, site: str) -> Any:
     """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
@@ -639,7 +641,7 @@ def _namespace(array):
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
-def wheel_speeds(command, robot=None):
+def wheel_speeds(command: Array, robot: Robot | None = None) -> Array:
     """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
     (..., 2): (v [m/s], w [rad/s]), clipped."""
     robot = robot or load_robot("jackal")
@@ -652,19 +654,19 @@ def wheel_speeds(command, robot=None):
     return xp.stack(sides, axis=-1) / config.rolling_radius * np.array(robot.forwards)
 
 
-def wheel_actuators(model, robot=None, name="robot"):
+def wheel_actuators(model: mujoco.MjModel, robot: Robot | None = None, name: str = "robot") -> np.ndarray:
     """Which entries (W,) of the MjModel's ctrl are the Robot's (the Jackal's) wheels, ordered as its `wheels`."""
     robot = robot or load_robot("jackal")
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
 
 
-def wheel_dofs(model, robot, name="robot"):
+def wheel_dofs(model: mujoco.MjModel, robot: Robot | None, name: str = "robot") -> np.ndarray:
     """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
     return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 
 
-def planar_pose(qpos):
+def planar_pose(qpos: Array) -> Array:
     """Pose (..., 3), world frame [m, m, rad], of a free joint's `qpos` (..., 7)."""
     xp = _namespace(qpos)
     qpos = xp.asarray(qpos)
@@ -673,7 +675,7 @@ def planar_pose(qpos):
     return xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
 
 
-def planar_velocity(qpos, qvel):
+def planar_velocity(qpos: Array, qvel: Array) -> Array:
     """Speed ahead [m/s] and yaw rate [rad/s] (..., 2) of a free joint's `qpos` (..., 7) and `qvel` (..., 6).
 
     MuJoCo gives a free joint's linear velocity in the world frame and its angular velocity in the body frame.
@@ -685,7 +687,7 @@ def planar_velocity(qpos, qvel):
     return xp.stack([ahead, qvel[..., 5]], axis=-1)
 
 
-def spawn_qpos(x, y, yaw, config=None):
+def spawn_qpos(x: Any, y: Any, yaw: Any, config: RobotConfig | None = None) -> np.ndarray:
     """`qpos` (..., 7) of a robot (the Jackal) that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
     config = config or load_robot("jackal").config
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
@@ -693,7 +695,7 @@ def spawn_qpos(x, y, yaw, config=None):
     return np.concatenate([place, geometry.yaw_quaternion(np.asarray(yaw, dtype=float))], axis=-1)
 
 
-def footprint(pose, config=None):
+def footprint(pose: Array, config: RobotConfig | None = None) -> Array:
     """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
     config = config or load_robot("jackal").config
     xp = _namespace(pose)

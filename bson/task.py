@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -107,12 +107,12 @@ class TaskConfig:
             check_model(name)
 
     @property
-    def model_shares(self):
+    def model_shares(self) -> dict[str, float]:
         """{pedestrian model: share}; the shares sum to 1."""
         return {self.pedestrian_model: 1.0} if isinstance(self.pedestrian_model, str) else dict(self.pedestrian_model)
 
     @property
-    def people(self):
+    def people(self) -> int:
         """The number of pedestrians."""
         if self.pedestrian_density is not None:
             return layouts.person_count(self.pedestrian_density, self.map_size)
@@ -122,26 +122,26 @@ class TaskConfig:
         return PEDESTRIANS if own is None else own
 
     @property
-    def people_goal_distance(self):
+    def people_goal_distance(self) -> tuple[float, float]:
         """Least and most distance from a pedestrian's place to its goal [m]; less than usual on small maps."""
         return min(GOAL_DISTANCE[0], self.map_size / 4), GOAL_DISTANCE[1]
 
     @property
-    def decision_period(self):
+    def decision_period(self) -> float:
         """Time between the pedestrians' decisions [s]: at least one falls in a control step."""
         return min(self.pedestrian_period, self.control_period)
 
     @property
-    def decisions(self):
+    def decisions(self) -> int:
         """Pedestrians' decisions in a control step."""
         return round(self.control_period / self.decision_period)
 
     @property
-    def substeps(self):
+    def substeps(self) -> int:
         """Physics steps in a pedestrians' decision."""
         return round(self.decision_period / PHYSICS_STEP)
 
-    def replace(self, /, **changes):
+    def replace(self, /, **changes: Any) -> Self:
         """This configuration with `changes`; a pedestrian count replaces a density and the other way round.
 
         Raises ValueError for an unknown name, listing the valid ones.
@@ -158,7 +158,7 @@ class TaskConfig:
         return dataclasses.replace(self, **changes)
 
 
-def check_model(name):
+def check_model(name: str) -> None:
     """Raises ValueError unless `name` is a pedestrian model; a shipped one is looked up once."""
     return pedestrians.check_model(name) if name.endswith(".npz") else _check_shipped(name)
 
@@ -166,7 +166,7 @@ def check_model(name):
 _check_shipped = functools.lru_cache(64)(pedestrians.check_model)
 
 
-def controller(name, period):
+def controller(name: str, period: float) -> Any:
     """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
     return pedestrians.make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
 
@@ -244,7 +244,7 @@ class Spawn(NamedTuple):
     router: Router | None  #: people's, where walls bar their view
 
 
-def spawn(config: TaskConfig, rng) -> Spawn:
+def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
     The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and
@@ -274,7 +274,7 @@ def spawn(config: TaskConfig, rng) -> Spawn:
     )
 
 
-def stops(layout, person, place, goal):
+def stops(layout: Layout, person: int, place: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its
     route, if the map has routes."""
     if not layout.routes:
@@ -359,7 +359,7 @@ def _people_ends(config, layout, rng, robot, router):
     return people, goals
 
 
-def ways_checker(config, router):
+def ways_checker(config: TaskConfig, router: Router | None) -> Any:
     """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s
     own.
 

@@ -1,12 +1,14 @@
 """What the robot is given: a track is an object with its spaces and its observation."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 from bson import sensors as shipped
+from bson.robot import RobotConfig
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.simulation.data import MAP_RESOLUTION
 from bson.task import TaskConfig
@@ -16,7 +18,7 @@ from macid.files import UsageError
 from macid.registry import Kind
 
 
-def velocity_limit(robot):
+def velocity_limit(robot: RobotConfig) -> np.ndarray:
     """Bounds (2,) of an observed (v [m/s], w [rad/s]): a push can move the robot faster than its motors do."""
     return np.array([4 * robot.max_speed, 10 * robot.max_yaw_rate], np.float32)
 
@@ -39,7 +41,7 @@ class LocalTrack:
             }
         )
 
-    def observe(self, world, ids):
+    def observe(self, world: Any, ids: Any) -> dict[str, np.ndarray]:
         """Observations of the worlds `ids`, each array with a leading axis (len(ids),); copies."""
         pose = world.pose[ids]
         limit = velocity_limit(world.config.robot)
@@ -71,7 +73,7 @@ class GlobalTrack(LocalTrack):
             }
         )
 
-    def observe(self, world, ids):
+    def observe(self, world: Any, ids: Any) -> dict[str, np.ndarray]:
         """As LocalTrack.observe."""
         half = world.config.map_size / 2
         return {
@@ -138,17 +140,17 @@ def make_track(track: str, sensor: Any) -> LocalTrack:
     return TRACK_KIND.load(track)(_sensors(sensor))
 
 
-def sensor_label(sensor):
+def sensor_label(sensor: Any) -> str:
     """What `make_track` was given as `sensor`, for people to read: its name, or the kinds of one's own."""
     return sensor if isinstance(sensor, str) else " + ".join(type(one).__name__ for one in _sensors(sensor))
 
 
-def sensor_settings(sensors):
+def sensor_settings(sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
     """Sensors' configurations as JSON has them: [{"kind": ..., field: value, ...}, ...]."""
     return [{"kind": type(one).__name__, **dataclasses.asdict(one)} for one in sensors]
 
 
-def sensor_documents(chosen):
+def sensor_documents(chosen: Any) -> Any:
     """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...],
     where a kind that is not of bson.sensors is "module:class"."""
     return chosen if isinstance(chosen, str) else [_document(one) for one in _sensors(chosen)]

@@ -64,7 +64,7 @@ BUILT_IN = {
 }
 
 
-def agent_names():
+def agent_names() -> list[str]:
     """Names of the agents that come with the benchmark: scripted, planning and trained ones."""
     return [*BUILT_IN, *learned.names()]
 

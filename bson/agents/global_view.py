@@ -1,5 +1,7 @@
 """What an agent of the Global track makes of its observations: the map as a grid, and people's velocities."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from bson.agents.contract import Setting, Unsuited
@@ -19,7 +21,7 @@ class GlobalView:
         self._period = setting.control_period
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forgets the last episode."""
         self._map: Grid | None = None
         self.pose, self.goal = np.zeros(3), np.zeros(2)  # (x, y, yaw), (x, y)
@@ -31,7 +33,7 @@ class GlobalView:
         assert self._map is not None, "nothing was seen yet"
         return self._map
 
-    def see(self, observation):
+    def see(self, observation: Mapping[str, np.ndarray]) -> None:
         """Takes in a Global observation (see bson.env.BsonEnv). People stand until they were seen twice."""
         first = self._map is None
         if first:

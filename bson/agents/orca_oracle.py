@@ -15,6 +15,7 @@ from them in three things.
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax
@@ -24,6 +25,7 @@ import numpy as np
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
 from bson.planners import NoPath, plan, shortcut
+from bson.planners.grid import Grid
 from macid import geometry
 from macid.pedestrians.orca import ORCA, best_velocity
 from macid.pedestrians.social_force import left_of
@@ -53,7 +55,7 @@ class OrcaOracle:
 
     track, sensor = "global", "lidar2d"
 
-    def __init__(self, setting: Setting | None = None, config=OrcaOracleConfig()):
+    def __init__(self, setting: Setting | None = None, config: OrcaOracleConfig = OrcaOracleConfig()):
         setting = Setting.default("global") if setting is None else setting
         setting.check_period(config.longest_period)
         self._robot = robot = setting.robot
@@ -67,13 +69,13 @@ class OrcaOracle:
         self._view = GlobalView(setting)
         self.reset()
 
-    def reset(self, seed=None):
+    def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._view.reset()
         self._grid = self._boxes = self._path = None
         self._planned = 0  # decisions ago
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's Global observation (see bson.env.BsonEnv)."""
         view, robot = self._view, self._robot
         view.see(observation)
@@ -166,7 +168,7 @@ def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, bo
     return best_velocity(normal[None], offset[None], config.walls + 3, target, robot.max_speed)[0]
 
 
-def occupied_boxes(grid):
+def occupied_boxes(grid: Grid) -> np.ndarray:
     """Rectangles (N, 5), as in `macid.geometry`, that cover the occupied cells of `grid`, and the map's edge.
 
     Cells that lie in a row are one, and equal rows above each other.

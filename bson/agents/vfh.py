@@ -16,6 +16,7 @@ Only the observation is used: the goal, the velocity and the LIDAR.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,7 @@ class VfhConfig:
 class Vfh:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, setting: Setting | None = None, config=VfhConfig()):
+    def __init__(self, setting: Setting | None = None, config: VfhConfig = VfhConfig()):
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
         self.config, self._limit, self._period = config, setting.top, setting.control_period
@@ -95,7 +96,7 @@ class Vfh:
         self._prepare_motions()
         self.reset()
 
-    def reset(self, seed=None):
+    def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._yaw, self._goal, self._rate = 0.0, None, 0.0
         self._steps, self._old = 0, 0  # since the episode began, and since the last scan
@@ -106,7 +107,7 @@ class Vfh:
         self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         self._localise(goal, velocity)
@@ -117,7 +118,7 @@ class Vfh:
         return self._move(target, velocity, walls)
 
     @property
-    def people(self):
+    def people(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, 2) of the people believed in, robot frame's axes [m, m/s]."""
         places = self._seen_at + self._old * self._period * self._seen_velocity if self._old else self._seen_at
         return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation

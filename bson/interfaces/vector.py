@@ -38,17 +38,17 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     def __init__(
         self,
-        num_envs=1,
-        track="local",
-        sensor="lidar2d",
-        render_mode=None,
-        seed=None,
-        autoreset_mode=AutoresetMode.NEXT_STEP,
-        output="numpy",
-        pool=None,
-        workers=None,
-        limits=None,
-        **config,
+        num_envs: int = 1,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        output: str = "numpy",
+        pool: int | None = None,
+        workers: int | None = None,
+        limits: dict[str, Any] | None = None,
+        **config: Any,
     ):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
@@ -75,7 +75,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._step: Callable | None = None
         self._carry = self._tally = None
 
-    def reset(self, *, seed=None, options=None):
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every world."""
         if options:
             raise ValueError(
@@ -94,7 +94,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._tally = None
         return self._given((observation, self._infos(jax.vmap(self._func.state_info)(self._carry.states))))
 
-    def step(self, actions):
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One control step of every world; a world whose episode ended begins its next instead."""
         worlds, step = self._worlds, self._step
         if self._carry is None or worlds is None or step is None:
@@ -110,7 +110,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
             reward = reward.astype(float)
         return observation, reward, terminated, truncated, info
 
-    def close_extras(self, **kwargs):
+    def close_extras(self, **kwargs: Any) -> None:
         """Frees all that it holds. Nothing can be stepped or reset then."""
         self._close_worlds()
 

@@ -1,7 +1,7 @@
 """All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run
 code."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -55,7 +55,7 @@ class Noted(msgspec.Struct):
     keeper: _Keeper
 
 
-def collect(model, keeper):
+def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """({name: array}, what to note, as Noted) of a model and of the state of its keeper."""
     found, rates, stepped = {}, {}, []
     for name, state in model.get_parameters().items():
@@ -92,7 +92,7 @@ def collect(model, keeper):
     }
 
 
-def restore(model, found, noted, layers):
+def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], layers: Any) -> dict[str, Any]:
     """Puts a checkpoint's arrays `found` and what it `noted` into a new `model`; returns the state of its keeper.
 
     layers: such as the keeper's best has. Raises ValueError, before anything is changed, for what is of another model.

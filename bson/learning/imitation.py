@@ -2,7 +2,8 @@
 
 import dataclasses
 import itertools
-from typing import cast
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -14,6 +15,8 @@ from bson.episodes.session import Session
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
 from bson.metrics import sns
+from bson.task import TaskConfig
+from bson.tracks import LocalTrack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +32,15 @@ class BcConfig:
     epochs: int = 20
 
 
-def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
+def demonstrate(
+    expert: Callable[..., Any],
+    config: TaskConfig,
+    track: LocalTrack,
+    steps: int,
+    seed: int,
+    nworld: int = 16,
+    progress: Callable[[int], object] | None = None,
+) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
     actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
     setting = Setting.of(config, track)
@@ -68,13 +79,19 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
     return done
 
 
-def select(episodes, keep):
+def select(episodes: Sequence[tuple[float, np.ndarray, np.ndarray]], keep: float) -> tuple[np.ndarray, np.ndarray]:
     """Features (N, FEATURES) and actions (N, 2) of the share `keep` of `episodes` with the highest SNS."""
     best = sorted(episodes, key=lambda episode: -episode[0])[: max(1, round(keep * len(episodes)))]
     return np.concatenate([x for _, x, _ in best]), np.concatenate([action for _, _, action in best])
 
 
-def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
+def clone(
+    x: np.ndarray,
+    action: np.ndarray,
+    config: BcConfig,
+    seed: int,
+    show: Callable[[int, float, float], object] = lambda epoch, loss, held_out: None,
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Layers that map features `x` (N, FEATURES) to `action` (N, 2), by least squares; a twentieth is held out.
 
     show: called after each epoch with its number, the loss and that of the held-out share.

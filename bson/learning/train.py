@@ -6,6 +6,7 @@ import functools
 import pathlib
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -114,12 +115,12 @@ class TrainConfig:
             object.__setattr__(self, "hyperparameters", found)
 
     @property
-    def setting(self):
+    def setting(self) -> TaskConfig:
         """The TaskConfig of the worlds."""
         return TaskConfig().replace(**self.task)
 
     @property
-    def name(self):
+    def name(self) -> str:
         """The algorithm, its preset where that is not the default, and among whom where these are not the default
         pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
@@ -240,7 +241,7 @@ class _Progress(BaseCallback):
 
 
 @contextlib.contextmanager
-def one_thread():
+def one_thread() -> Iterator[None]:
     """Lets torch compute in one thread: for networks this small, threads wait for each other longer than they work,
     and MuJoCo has threads of its own."""
     before = torch.get_num_threads()
@@ -288,7 +289,7 @@ def _restored(keeper):
     return model
 
 
-def is_done(config, folder):
+def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     """Whether the training `config` has its policy, to the last step, in `folder`. Raises UsageError, which says what
     to do, where the policy's recipe is damaged."""
     path = folder / "policy.json"
@@ -306,13 +307,13 @@ def is_done(config, folder):
 
 @one_thread()
 def train(
-    config,
-    out,
-    resume=False,
-    show=lambda steps, figures, validation=False: None,
-    seconds_between_checkpoints=120,
-    tensorboard=False,
-):
+    config: TrainConfig,
+    out: str | pathlib.Path,
+    resume: bool = False,
+    show: Callable[..., object] = lambda steps, figures, validation=False: None,
+    seconds_between_checkpoints: float = 120,
+    tensorboard: bool = False,
+) -> pathlib.Path:
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and, once
     episodes have ended, curve.csv.
 
@@ -363,7 +364,9 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     return folder
 
 
-def train_with_bar(config, out, resume=False, tensorboard=False):
+def train_with_bar(
+    config: TrainConfig, out: str | pathlib.Path, resume: bool = False, tensorboard: bool = False
+) -> pathlib.Path:
     """`train` with a progress bar on stderr, and a line for each validation."""
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
@@ -383,7 +386,9 @@ def train_with_bar(config, out, resume=False, tensorboard=False):
                 print(file=sys.stderr)
 
 
-def train_apart(executor, configs, out, resume=False):
+def train_apart(
+    executor: Any, configs: Sequence[TrainConfig], out: str | pathlib.Path, resume: bool = False
+) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
     `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
     carried, done = Carried(), {}

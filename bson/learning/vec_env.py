@@ -10,6 +10,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from bson import metrics
 from bson.env import BsonVectorEnv
 from bson.features import FEATURES, Features
+from bson.simulation.world import World
 
 
 class _Worlds(VecEnv):
@@ -55,7 +56,7 @@ class WorldsVecEnv(_Worlds):
     for it, the same for all worlds. Raises ValueError for an environment that is not BSON's.
     """
 
-    def __init__(self, env):
+    def __init__(self, env: gymnasium.vector.VectorEnv):
         worlds = getattr(env, "unwrapped", None)
         if not isinstance(worlds, BsonVectorEnv):
             raise ValueError(f"WorldsVecEnv takes what gymnasium.make_vec('BSON/...') gives, not {env!r}.")
@@ -64,11 +65,11 @@ class WorldsVecEnv(_Worlds):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World of all, for whoever needs more than the observation."""
         return self._worlds.world
 
-    def reset(self):
+    def reset(self) -> Any:
         """Begins an episode in every world; their observations."""
         options = self._options[0]
         if any(other != options for other in self._options):
@@ -81,7 +82,7 @@ class WorldsVecEnv(_Worlds):
         self._returns[:], self._lengths[:] = 0.0, 0
         return observation
 
-    def step_wait(self):
+    def step_wait(self) -> Any:
         """A control step: observations, rewards (num_envs,), dones, infos."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         self._returns += reward
@@ -121,7 +122,7 @@ class FeatureVecEnv(_Worlds):
     """`num_envs` worlds of the task `config` (TaskConfig's fields). An ended episode's info has `episode`: return r,
     length l, and the parts of the score."""
 
-    def __init__(self, num_envs, seed, nthread=0, **config):
+    def __init__(self, num_envs: int, seed: Any, nthread: int = 0, **config: Any):
         self._env = self._worlds = BsonVectorEnv(
             num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config
         )
@@ -133,17 +134,17 @@ class FeatureVecEnv(_Worlds):
         super().__init__(num_envs, space, self._env.single_action_space)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World of all, for whoever measures it."""
         return self._worlds.world
 
-    def reset(self):
+    def reset(self) -> np.ndarray:
         """Begins an episode in every world; features (num_envs, FEATURES)."""
         observation, _ = self._env.reset()
         self._returns[:] = 0.0
         return self._features.begin(self._all, observation)
 
-    def step_wait(self):
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """A control step: features, rewards (num_envs,), dones, infos. Worlds whose episodes ended begin their next."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         features = self._features.step(self._all, observation)

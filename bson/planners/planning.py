@@ -1,10 +1,11 @@
 """One call for every planner, and one that takes the detours out of a path."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from bson.planners.grid import NoPath, cost_rate, line_costs
+from bson.planners.grid import Grid, NoPath, cost_rate, line_costs
 from bson.planners.search import AStarConfig, DijkstraConfig, astar, dijkstra
 from bson.planners.trees import CarrtStar, CarrtStarConfig, Rrt, RrtConfig, RrtStar, RrtStarConfig
 from macid.files import UsageError
@@ -42,7 +43,16 @@ PLANNERS = tuple(_PLANNERS)
 KIND: Kind[tuple[Callable, type | None]] = Kind("planner", _PLANNERS, own="function", check=_own)
 
 
-def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
+def plan(
+    name: str,
+    grid: Grid,
+    start: Any,
+    goal: Any,
+    cost: Any = None,
+    rng: Any = None,
+    config: Any = None,
+    known: Any = None,
+) -> np.ndarray:
     """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
 
     name: one of PLANNERS, or one's own, `module:function` or `file.py:function` (see _own). cost: (rows, columns), at
@@ -85,7 +95,7 @@ def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
     return path
 
 
-def shortcut(path, grid, cost=None):
+def shortcut(path: Any, grid: Grid, cost: Any = None) -> np.ndarray:
     """`path` (N, 2) [m] with straight lines for its detours: from each point on to the farthest one that can be reached
     straight, without touching an occupied cell and at no higher cost. Returns (M, 2), M <= N, cost as in `plan`.
 
