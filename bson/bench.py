@@ -48,9 +48,9 @@ def measure_speed(config: TaskConfig, sensors: Sequence[Any], nworld: int, secon
 
     Counted are physics, pedestrians, sensors, observation and reward, and the resets of worlds that end.
     """
-    session = Session(config, tracks.LocalTrack(sensors), nworld, seeds=range(nworld))
+    session = Session(config, tracks.LocalTrack(tuple(sensors)), nworld, seeds=range(nworld))
     ids = np.arange(nworld)
-    session.reset(ids, ids)
+    session.reset(ids, range(nworld))
     action = np.tile(_ACTION, (nworld, 1))
     for _ in range(5):  # compile and warm up
         session.step(ids, action)

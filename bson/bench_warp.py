@@ -25,7 +25,7 @@ def measure(
     worlds: int = 4096,
     model: str = "macid",
     seconds: float = 5.0,
-    engine: dict[str, Any] | None = None,
+    engine: Any = None,
     workers: int | None = None,
     **config: Any,
 ) -> dict[str, Any]:

@@ -490,7 +490,7 @@ def parser() -> Parser:
 _DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int | str | None:
     """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
     if argv is None:
         return start.run("bson", start.bson_command)

@@ -170,7 +170,7 @@ def run(show: Callable[[str], object] = print) -> bool:
     return well
 
 
-def command() -> int:
+def command() -> int | str | None:
     """`bson doctor` as a command; its exit code."""
 
     def examine():

@@ -320,12 +320,12 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.config = TaskConfig().replace(**config)
         fps = frames_per_second(self.config)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode, "render_fps": fps}
-        track = make_track(track, sensor)
+        made = make_track(track, sensor)
         self._first_seed = seed
-        self._session = Session(self.config, track, num_envs, self._seeds(seed), nthread)
+        self._session = Session(self.config, made, num_envs, self._seeds(seed), nthread)
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, bool)
-        self.single_observation_space, self.single_action_space = track.space(self.config), ACTION_SPACE
+        self.single_observation_space, self.single_action_space = made.space(self.config), ACTION_SPACE
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
 
@@ -367,8 +367,8 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         with self._session.setting(config):
             for index in ids:
                 if given[index] is not None:
-                    self._session.reseed([index], [given[index]])
-            seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
+                    self._session.reseed([int(index)], [given[index]])
+            seeds = [given[i] if given[i] is not None else self._session.next_seeds([int(i)])[0] for i in ids]
             self._session.reset(ids, seeds)
         self._first_seed = None
         self._ended[ids] = False

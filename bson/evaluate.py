@@ -104,9 +104,8 @@ def pair(
                 if ended:
                     fault = world.fault[index] and f"without the robot: {world.fault[index]}"
                     alone = np.array([row[index] for row in people])
-                    paired[numbers[index]] = dataclasses.replace(
-                        episodes[numbers[index]], people_alone=alone, fault=fault
-                    )
+                    number = numbers[int(index)]
+                    paired[number] = dataclasses.replace(episodes[number], people_alone=alone, fault=fault)
                 if progress:
                     progress(1, paired[numbers[index]] if ended else None)
     return paired
@@ -133,11 +132,11 @@ def results(
         for episode in episodes
         if episode.fault
     ]
-    played = [sound(episodes) for episodes in played]
-    if not any(played):
+    scored = [sound(episodes) for episodes in played]
+    if not any(scored):
         raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
     metrics = (*METRICS, *own)
-    measured = [[measure(episode, metrics) for episode in episodes] for episodes in played]
+    measured = [[measure(episode, metrics) for episode in episodes] for episodes in scored]
     summaries = [_summary(rows) for rows in measured]
     return {
         "agent": agent,
@@ -158,7 +157,7 @@ def results(
                 "episodes": len(episodes),
                 **summary,
             }
-            for cell, episodes, summary in zip(cells, played, summaries, strict=True)
+            for cell, episodes, summary in zip(cells, scored, summaries, strict=True)
         ],
         "episodes": [
             {
@@ -167,7 +166,7 @@ def results(
                 **{name: value if math.isfinite(value) else None for name, value in row.items()},
                 **_each_person(episode),
             }
-            for cell, episodes, rows in zip(cells, played, measured, strict=True)
+            for cell, episodes, rows in zip(cells, scored, measured, strict=True)
             for episode, row in zip(episodes, rows, strict=True)
         ],
         "faults": faults,

@@ -35,7 +35,7 @@ class Scale:
             return math.expm1(math.log1p(self.low) * (1 - place) + math.log1p(self.high) * place)
         return self.low * (1 - place) + self.high * place
 
-    def colours(self, value: float) -> tuple[str, str]:
+    def colours(self, value: float) -> str:
         """CSS of a background, warm where it is worse and teal where it is better, and of text that is read on it."""
         goodness = self.place(value) if self.better == "up" else 1.0 - self.place(value)
         end = _BETTER if goodness > 0.5 else _WORSE

@@ -266,7 +266,7 @@ def measure(episode: Episode, metrics: Sequence[Metric] = METRICS) -> dict[str, 
     return {metric.name: metric.of(episode) for metric in metrics if metric.of is not None}
 
 
-def spread_by_score(episodes: list[Episode], most: int) -> list[Episode]:
+def spread_by_score(episodes: Sequence[Episode], most: int) -> list[Episode]:
     """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
     ranked = sorted(episodes, key=sns)
     places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)

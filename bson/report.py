@@ -39,21 +39,21 @@ _DISTRIBUTIONS = (
 
 def plot_distribution(values: Sequence[float | None], least: float) -> Any:
     """A histogram of `values`, with their mean; None doesn't enter. The axis covers at least 0 to `least`."""
-    figure = new_figure(figsize=(3.3, 1.9))
-    axes = figure.subplots()
-    values = np.array([value for value in values if value is not None])
-    axes.spines[["top", "right"]].set_visible(False)
     from matplotlib.ticker import MaxNLocator
 
+    figure = new_figure(figsize=(3.3, 1.9))
+    axes = figure.subplots()
+    known = np.array([value for value in values if value is not None])
+    axes.spines[["top", "right"]].set_visible(False)
     locator = axes.yaxis.get_major_locator()
     assert isinstance(locator, MaxNLocator)  # of a linear axis
     locator.set_params(integer=True)
-    if not len(values):
+    if not len(known):
         axes.text(0.5, 0.5, "no people", ha="center", va="center", transform=axes.transAxes)
         return figure
-    low, high = min(0.0, values.min()), max(least, values.max())
-    axes.hist(values, bins=np.linspace(low, high, 21), color=ACCENT, edgecolor="white", linewidth=0.6)
-    axes.axvline(values.mean(), color=BAD, linewidth=1.5)
+    low, high = min(0.0, known.min()), max(least, known.max())
+    axes.hist(known, bins=np.linspace(low, high, 21), color=ACCENT, edgecolor="white", linewidth=0.6)
+    axes.axvline(known.mean(), color=BAD, linewidth=1.5)
     return figure
 
 

@@ -86,7 +86,7 @@ class Unfinished:
     anew.
     """
 
-    def __init__(self, out: str | pathlib.Path, basis: dict[str, Any], resume: bool):
+    def __init__(self, out: pathlib.Path, basis: dict[str, Any], resume: bool):
         """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
         self._folder, self._basis = check_folder(out / "unfinished"), basis
         self._key = json.dumps(basis, sort_keys=True).encode()

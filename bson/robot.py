@@ -198,7 +198,7 @@ class Robot:
         return self.left + self.right
 
 
-def add_robot(spec: mujoco.MjSpec, robot: "Robot | None", name: str = "robot", hidden: bool = False) -> None:
+def add_robot(spec: mujoco.MjSpec, robot: "Robot", name: str = "robot", hidden: bool = False) -> None:
     """Attach the Robot to the world of `spec`, under a free joint `name`; its elements are called `name/...`.
 
     Joints and actuators of bodies that `spec` already has come before the robot's. hidden: as `hide_robot` leaves it.
@@ -661,7 +661,7 @@ def wheel_actuators(model: mujoco.MjModel, robot: Robot | None = None, name: str
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
 
 
-def wheel_dofs(model: mujoco.MjModel, robot: Robot | None, name: str = "robot") -> np.ndarray:
+def wheel_dofs(model: mujoco.MjModel, robot: Robot, name: str = "robot") -> np.ndarray:
     """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
     return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 

@@ -370,7 +370,8 @@ class Camera(Mounted):
     @property
     def focal(self) -> tuple[float, float]:
         """Focal lengths (horizontal, vertical) [pixels]; the optical axis meets the picture's middle."""
-        return tuple(side / (2 * math.tan(angle / 2)) for side, angle in zip(self.size, self.field, strict=True))
+        across, up = (side / (2 * math.tan(angle / 2)) for side, angle in zip(self.size, self.field, strict=True))
+        return across, up
 
     @property
     def size(self) -> tuple[int, int]:

@@ -85,7 +85,7 @@ class Cell:
         return self.name.replace(", ", "-")
 
     @property
-    def content(self) -> dict[str, Any]:
+    def content(self) -> list[Any]:
         """All that an episode follows from beside its seed: grades, configuration, and the files that it names."""
         drawn = None
         if self.config.map:

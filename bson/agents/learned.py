@@ -7,7 +7,7 @@ One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAM
 import dataclasses
 import functools
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -38,7 +38,7 @@ class Learned:
 
     track, sensor = "local", "lidar2d"
 
-    def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]], output: str, top: tuple[float, float] = TOP):
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, top: Sequence[float] = TOP):
         self.layers, self.output, self.top = layers, output, top
         self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
@@ -153,13 +153,14 @@ class Factory:
         self,
         name: str,
         path: pathlib.Path,
-        layers: list[tuple[np.ndarray, np.ndarray]],
+        layers: Sequence[tuple[np.ndarray, np.ndarray]],
         recipe: dict[str, Any],
         untrained: bool,
     ):
         self._name, self._untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
         self._trained = functools.cache(lambda: _trained(recipe, path))
-        self._top = tuple(self._trained().robot[key] for key in _TOP) if "setting" in recipe else TOP
+        robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
+        self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
 
     def __call__(self, setting: Setting | None = None) -> Learned:
         """An agent for one world of `setting`. Raises Unsuited."""

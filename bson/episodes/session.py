@@ -3,7 +3,7 @@
 import contextlib
 import ctypes
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -17,6 +17,7 @@ from bson.task import TaskConfig
 from bson.tracks import LocalTrack
 from macid.reward import individual_reward
 
+Ids: TypeAlias = Sequence[int] | np.ndarray  #: numbers of worlds, in ascending order
 KEPT = 4  # worlds of a Session, of different structures
 _GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back costs time when it is asked for again
 
@@ -117,27 +118,25 @@ class Session:
                 stream.bit_generator.state = state
             raise
 
-    def reseed(self, ids: Sequence[int] | np.ndarray, seeds: Sequence[Any]) -> None:
+    def reseed(self, ids: Ids, seeds: Sequence[Any]) -> None:
         """Begins the seed streams of the worlds `ids` anew."""
         for index, seed in zip(ids, seeds, strict=True):
             self._streams[index] = np.random.default_rng(None if seed is None else (0x50C1A1, seed))
 
-    def next_seeds(self, ids: Sequence[int] | np.ndarray) -> list[int]:
+    def next_seeds(self, ids: Ids) -> list[int]:
         """The seeds of the next episodes of the worlds `ids`, from their streams."""
         return [int(self._streams[index].integers(2**31)) for index in ids]
 
-    def reset(self, ids: Sequence[int] | np.ndarray, seeds: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:
+    def reset(self, ids: Ids, seeds: Sequence[Any]) -> dict[str, np.ndarray]:
         """A new episode in each of the worlds `ids`, from its seed; returns their observations."""
         self.world.reset(ids, seeds)
         return self.observe(ids)
 
-    def observe(self, ids: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:
+    def observe(self, ids: Ids) -> dict[str, np.ndarray]:
         """Observations of the worlds `ids`: a dict of arrays with a leading axis (len(ids),)."""
         return self.track.observe(self.world, np.asarray(ids))
 
-    def step(
-        self, ids: Sequence[int] | np.ndarray, action: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, ids: Ids, action: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
         """One control step of the worlds `ids` under `action` (n, 2) in [-1, 1]: shares of the top speed and yaw rate.
 
         Returns observations, reward (n,), terminated (n,), truncated (n,). The reward is eq. 5's: the distance is the
@@ -156,7 +155,7 @@ class Session:
         reward = individual_reward(distance - world.distance[ids], arrived, collided, config.reward)
         return self.observe(ids), reward, arrived, failed | (world.steps[ids] >= config.horizon) & ~arrived
 
-    def info(self, ids: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:
+    def info(self, ids: Ids) -> dict[str, np.ndarray]:
         """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies; see
         bson.simulation.data."""
         return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}

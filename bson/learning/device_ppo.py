@@ -237,7 +237,8 @@ class DevicePpo:
 
     def layers(self, learner: Any) -> list[tuple[np.ndarray, np.ndarray]]:
         """The policy's layers, as bson.agents.learned has them."""
-        return [tuple(map(np.asarray, layer)) for layer in learner.parameters["policy"]["layers"]]
+        layers = learner.parameters["policy"]["layers"]
+        return [(np.asarray(weight), np.asarray(bias)) for weight, bias in layers]
 
     def close(self) -> None:
         """Ends the drawing of episodes."""

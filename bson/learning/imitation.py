@@ -103,7 +103,7 @@ def clone(
     network = torch.nn.Sequential(*between, linear[-1])
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
     order = torch.randperm(len(x))
-    x, action = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
+    given, wanted = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
     held = max(1, len(x) // 20)
     batches = max(1, (len(x) - held) // config.batch)
     last = config.final_learning_rate / config.learning_rate
@@ -111,13 +111,13 @@ def clone(
     for epoch in range(1, config.epochs + 1):
         total = 0.0
         for rows in (held + torch.randperm(len(x) - held)).chunk(batches):
-            loss = torch.nn.functional.mse_loss(network(x[rows]), action[rows])
+            loss = torch.nn.functional.mse_loss(network(given[rows]), wanted[rows])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             schedule.step()
             total += loss.item()
         with torch.no_grad():
-            held_out = torch.nn.functional.mse_loss(network(x[:held]), action[:held]).item()
+            held_out = torch.nn.functional.mse_loss(network(given[:held]), wanted[:held]).item()
         show(epoch, total / batches, held_out)
     return linear_layers(network)

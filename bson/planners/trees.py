@@ -241,7 +241,8 @@ class CarrtStar(RrtStar):
         if length == 0:
             return None
         mean, spread = np.array([0.0, length]), np.array([config.turn, length / 4])
-        best = np.inf, None, np.inf
+        best: tuple[np.ndarray, Any] | None = None
+        least = np.inf
         for _ in range(config.iterations + 1):
             turns, lengths = (mean + spread * self.noise.standard_normal((config.candidates, 2))).T
             turns[0], lengths[0] = mean  # the straight one first, so that no extension is worse than RRT*'s
@@ -253,8 +254,8 @@ class CarrtStar(RrtStar):
             order = order[scores[order] < np.inf]
             if not len(order):
                 continue
-            if scores[order[0]] < best[0]:
-                best = scores[order[0]], ends[order[0]], costs[order[0]]
+            if scores[order[0]] < least:
+                best, least = (ends[order[0]], costs[order[0]]), scores[order[0]]
             elites = np.stack([turns[order], lengths[order]], axis=-1)
             mean, spread = elites.mean(axis=0), elites.std(axis=0)
-        return best[1:] if best[0] < np.inf else None
+        return best

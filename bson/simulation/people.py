@@ -7,7 +7,7 @@ boxes are filled up to the next of a few sizes, with people and boxes out of eve
 
 import copy
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -51,7 +51,12 @@ def find_ways(layout: Layout, router: Any, people: Any, places: np.ndarray, goal
 
 
 def next_goals(
-    config: TaskConfig, map_layout: Layout, router: Any, who: np.ndarray, places: np.ndarray, rng: np.random.Generator
+    config: TaskConfig,
+    map_layout: Layout,
+    router: Any,
+    who: Sequence[int] | np.ndarray,
+    places: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Where the people `who` (N,) go once they are at their goals: for each of `places` (N, 2) a goal (N, 2) [m].
 
