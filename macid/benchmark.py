@@ -42,7 +42,8 @@ def evaluate(
         load_level(level)
     if bins and lcf:
         raise UsageError("--bins has LCFs of its own: leave --lcf out.")
-    ranges = scoring.lcf_bins(pedestrian) if bins else [tuple(lcf or scoring.table_lcf(pedestrian))]
+    least, most = lcf or scoring.table_lcf(pedestrian)
+    ranges = scoring.lcf_bins(pedestrian) if bins else [(least, most)]
     configs = [CrowdConfig(period=period, lcf=each) for each in ranges]
     path = None if out is None else check_file(out, "JSON file")
     rows = []
@@ -85,7 +86,7 @@ def watch(
     from macid.layout import load_level
 
     period = usual_period(pedestrian) if period is None else period
-    people = load_level(level).pedestrians
+    people = load_level(level).people
     path = pathlib.Path(out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
@@ -100,7 +101,8 @@ def watch(
         raise UsageError("--at is for a picture: let --out end in .png.")
     if at is not None and not 0 <= at <= seconds:
         raise UsageError(f"--at must be 0 to {seconds:g}, the episode's length in seconds, not {at:g}.")
-    config = CrowdConfig(period=period, duration=seconds, lcf=tuple(lcf or table_lcf(pedestrian)))
+    least, most = lcf or table_lcf(pedestrian)
+    config = CrowdConfig(period=period, duration=seconds, lcf=(least, most))
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     show(f"{pedestrian} on {level_name(level)} ...")
@@ -112,7 +114,7 @@ def watch(
         else:
             with tqdm(unit="frame", desc="filming", file=sys.stderr, disable=quiet) as bar:
 
-                def progress(done, total):
+                def progress(done: int, total: int) -> None:
                     bar.total = total
                     bar.update()
 

@@ -4,6 +4,7 @@ import argparse
 import pathlib
 import shlex
 import sys
+from collections.abc import Sequence
 
 from macid import engines, start
 from macid.command import (
@@ -195,23 +196,24 @@ def _bench(args):
     return 0
 
 
-def parser():
+def parser() -> Parser:
     """The command's parser."""
     root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
+    models = "a rule, a shipped policy, or a policy file (.npz)"
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
     evaluate = commands.add_parser(
         "evaluate",
         help="a pedestrian model on the paper's levels (Table II)",
         formatter_class=HelpFormatter,
     )
-    evaluate.add_argument("--pedestrian", type=name, required=True, help="a rule, a shipped policy, or a policy file (.npz)")
+    evaluate.add_argument("--pedestrian", type=name, required=True, help=models)
     evaluate.add_argument(
         "--levels",
         type=_level,
         nargs="+",
         default=[1, 2, 3, 4],
-        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation; or a map of another kind: "
-        "big-boxes, small-boxes, foyer, crossroads, furnished, crowded",
+        help="1: 25, 2: 50, 3: 100, 4: 200 people; v1 to v4: as many on the maps for validation; or a map of another "
+        "kind: big-boxes, small-boxes, foyer, crossroads, furnished, crowded",
     )
     evaluate.number("--episodes", int, 1, MOST_WORLDS, default=5, help="episodes a level")
     evaluate.number("--seed", int, 0, MOST_SEED, default=0)
@@ -225,7 +227,7 @@ def parser():
     evaluate.set_defaults(run=_evaluate)
 
     watch = commands.add_parser("watch", help="film a crowd", formatter_class=HelpFormatter)
-    watch.add_argument("--pedestrian", type=name, default="macid", help="a rule, a shipped policy, or a policy file (.npz)")
+    watch.add_argument("--pedestrian", type=name, default="macid", help=models)
     watch.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     watch.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
@@ -250,7 +252,9 @@ def parser():
     export.add_argument("--level", type=_level, help="as of evaluate: 1 to 4, v1 to v4, foyer, ... (default: 2)")
     export.add_argument("--map", type=name, help="instead of a level, a map's name (bson list) or file")
     export.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's or the map's, else 50)")
-    export.number("--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it")
+    export.number(
+        "--seed", int, 0, MOST_SEED, default=0, help="of a level, the episode of 'evaluate --episodes 1' with it"
+    )
     export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
     export.add_argument("--out", type=name, required=True, help="folder, new or empty")
@@ -270,7 +274,11 @@ def parser():
     train.number("--learning-rate", float, 0.0, 1.0, above=True, help="at the beginning (default: 0.001)")
     train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     train.number(
-        "--agent-steps", float, 1.0, MOST_STEPS, help="budget (default: 20e6; preset gpu: 300e6; paper: the paper's 50e6)"
+        "--agent-steps",
+        float,
+        1.0,
+        MOST_STEPS,
+        help="budget (default: 20e6; preset gpu: 300e6; paper: the paper's 50e6)",
     )
     train.add_argument("--preset", default="fast", choices=_PRESETS, help="hyperparameters")
     train.add_argument("--out", type=name, default="runs", help="folder; each seed gets one in it")
@@ -293,7 +301,7 @@ def parser():
     return root
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
     if argv is None:
         return start.run("macid", start.macid_command)

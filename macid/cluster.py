@@ -22,10 +22,11 @@ import tempfile
 import threading
 import traceback
 import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from macid import assets, start
-from macid.executors import Carried
+from macid.executors import Carried, Job, Work
 from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
@@ -59,7 +60,7 @@ class Cluster:
             import ray
         except ImportError as error:
             raise UsageError(f"--executor ray needs {error.name or 'ray'}: {INSTALL}.") from None
-        self._ray = ray
+        self._ray: Any = ray  # its types don't tell that a task may give a generator
         self.address = _checked(address or os.environ.get("RAY_ADDRESS") or "local")
         self.workers = workers
         self._wanted, self._ours, self._folder = workers, False, None
@@ -110,9 +111,10 @@ class Cluster:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
-    def run(self, work, jobs, receive, carried: Carried) -> None:
+    def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: Carried) -> None:
         """See macid.executors.Executor.run."""
         ray = self._ray
+        assert self.workers is not None  # in the `with`
         packages = tuple(dict.fromkeys(["macid", work.__module__.partition(".")[0]]))
         bundle = ray.put(_Bundle(carried.read(), carried.paths, os.getcwd(), packages, fingerprint(packages)))
         if told := carried.told():
@@ -287,7 +289,7 @@ def _other_version(bundle):
     )
 
 
-def serve(bundle: _Bundle, call: bytes):
+def serve(bundle: _Bundle, call: bytes) -> Iterator[bytes]:
     """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The
     work is done in a thread."""
     if problem := _other_version(bundle):
@@ -338,7 +340,7 @@ def _unpacked(bundle):
                     del sys.modules[name]
 
 
-def moved(value, files, root):
+def moved(value: Any, files: Mapping[str, Any], root: str) -> Any:
     """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):

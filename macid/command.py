@@ -3,6 +3,8 @@
 import argparse
 import math
 import re
+from collections.abc import Iterable
+from typing import Any, NoReturn
 
 from macid.executors import EXECUTORS, MOST_WORKERS
 from macid.files import UsageError, one_line
@@ -22,21 +24,30 @@ _WORD = 100_000  # of any word: an LCF for each of 2,000 people fits
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, and whose numbers have bounds."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE  # argparse takes -1e-3 and -inf for flags
         self._bounds = {}
 
-    def number(self, flag, kind, least, most, above=False, also="", **more):
+    def number(
+        self,
+        flag: str,
+        kind: type[int] | type[float],
+        least: float,
+        most: float,
+        above: bool = False,
+        also: str = "",
+        **more: Any,
+    ) -> argparse.Action:
         """Adds the flag `flag`: a number of `kind`, int or float, or several, from `least` to `most`. above: whether
         `least` itself is excluded. also: what messages add to the bounds."""
         action = self.add_argument(flag, type=kind, **more)
         self._bounds[action.dest] = flag, least, most, above, also
         return action
 
-    def parse_known_args(self, args=None, namespace=None):
+    def parse_known_args(self, *args: Any, **kwargs: Any) -> tuple[Any, list[str]]:
         """As argparse's; raises UsageError for a number out of bounds."""
-        found, rest = super().parse_known_args(args, namespace)
+        found, rest = super().parse_known_args(*args, **kwargs)
         for name, (flag, *bounds) in self._bounds.items():
             value = getattr(found, name)
             for one in value if isinstance(value, list) else [value]:
@@ -44,7 +55,7 @@ class Parser(argparse.ArgumentParser):
                     _check(flag, one, *bounds)
         return found, rest
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         """One line, and exit code 2."""
         self.exit(2, f"{one_line(f'{self.prog}: error: {message} (help: {self.prog} --help)')}\n")
 
@@ -68,27 +79,27 @@ def _told(number):
 PERIOD = {"least": 0.0, "most": MOST_PERIOD, "above": True, "also": " and a multiple of the physics step, 0.02 s"}
 
 
-def check_words(words):
+def check_words(words: Iterable[str]) -> None:
     """Refuses words of a command line that can't be a name, a path or a value. Raises UsageError."""
     for word in words:
         try:
             word.encode()
         except UnicodeEncodeError:
-            raise UsageError(f"{ascii(word[:_NAME])} is not UTF-8, as names, paths and values are.") from None
+            raise UsageError(f"{word[:_NAME]!a} is not UTF-8, as names, paths and values are.") from None
         if "\0" in word:
-            raise UsageError(f"{ascii(word[:_NAME])} has a null character.")
+            raise UsageError(f"{word[:_NAME]!a} has a null character.")
         if len(word) > _WORD:
             raise UsageError(f"A word of the command line has {len(word):,} characters; at most {_WORD:,} are read.")
 
 
-def name(text):
+def name(text: str) -> str:
     """A name or a path on a command line, for argparse."""
     if not text or len(text) > _NAME:
         raise argparse.ArgumentTypeError(f"a name has 1 to {_NAME} characters, not {len(text):,}")
     return text
 
 
-def add_executor(command):
+def add_executor(command: Parser) -> None:
     """Adds the flags of macid.executors.make_executor to a Parser."""
     command.add_argument(
         "--executor",
@@ -103,4 +114,6 @@ def add_executor(command):
         metavar="HOST:PORT",
         help="of the Ray cluster of which this machine is; auto: as ray start noted it (default: this machine alone)",
     )
-    command.number("--workers", int, 1, MOST_WORKERS, help="with --executor ray: how many at once (default: one a core)")
+    command.number(
+        "--workers", int, 1, MOST_WORKERS, help="with --executor ray: how many at once (default: one a core)"
+    )

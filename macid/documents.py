@@ -1,4 +1,4 @@
-"""Documents that a user names (TOML, JSON, YAML): read within a bound, parsed, and checked against a schema in one place.
+"""Documents that a user names (TOML, JSON, YAML): all are read within a bound, parsed, and checked against a schema.
 
 Whatever is wrong with a document is a UsageError of one line that names the file, the key and what is allowed there.
 """
@@ -7,17 +7,22 @@ import collections
 import json
 import math
 import numbers
+import os
 import pathlib
 import re
 import reprlib
 import tomllib
 import types
 import typing
+from collections.abc import Callable
+from typing import Any, NoReturn, TypeVar
 
 import msgspec
 import yaml
 
 from macid.files import UsageError
+
+T = TypeVar("T")
 
 MOST_BYTES = 1 << 20  # of a map, a robot, a suite [bytes]
 MOST_NUMBER = 1e18  # in any field, beside whole numbers, which may fill 64 bits
@@ -27,33 +32,35 @@ _MOST_DEEP = 100  # brackets in brackets of YAML
 _MOST_PARTS = 64  # parts of a dotted key: tomllib's time grows with their square
 
 
-def number(description, **bounds):
+def number(description: str, **bounds: Any) -> Any:
     """The type of a number within `bounds` (as msgspec.Meta has them), for which messages say `description`. A whole
     number stays whole, as digests have it."""
     rounded = {key: math.ceil(bound) if key in ("ge", "lt") else math.floor(bound) for key, bound in bounds.items()}
-    whole, real = (msgspec.Meta(description=description, **each) for each in (rounded, bounds))
-    return typing.Annotated[int, whole] | typing.Annotated[float, real]
+    whole, real = ({"description": description, **each} for each in (rounded, bounds))
+    return typing.Annotated[int, msgspec.Meta(**whole)] | typing.Annotated[float, msgspec.Meta(**real)]
 
 
-def shown(value):
+def shown(value: Any) -> str:
     """`value` as a message shows it: short, and printable on any terminal."""
     text = reprlib.repr(value) if isinstance(value, dict | list | tuple) else repr(value)
     text = text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
     return text.encode("ascii", "backslashreplace").decode()
 
 
-def shown_path(path):
-    """`path` as a message shows it: in quotes, on one line, printable on any terminal, and with its end where it is long."""
+def shown_path(path: Any) -> str:
+    """`path` as a message shows it: in quotes, on one line, printable on any terminal; of a long one the end."""
     text = repr(str(path)).encode("ascii", "backslashreplace").decode()
     return text if len(text) <= _SHOWN_PATH else f"'...{text[4 - _SHOWN_PATH :]}"
 
 
-def is_number(value, least=-MOST_NUMBER, most=MOST_NUMBER):
-    """Whether `value`, Python's or NumPy's, is a number from `least` to `most`, so neither NaN nor infinite nor a bool."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and bool(least <= value <= most)
+def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER) -> bool:
+    """Whether `value`, Python's or NumPy's, is a number from `least` to `most`: not NaN, not infinite, and no bool."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return False
+    return bool(value <= most and not value < least)
 
 
-def read_bytes(path, what, most=MOST_BYTES):
+def read_bytes(path: str | os.PathLike[str], what: str, most: int = MOST_BYTES) -> bytes:
     """The content of the file `path`, which a user named as a `what` ("map"). Raises UsageError where it is no regular
     file, can't be read, or has more than `most` bytes."""
     path = check_readable(path, what, most)
@@ -64,7 +71,7 @@ def read_bytes(path, what, most=MOST_BYTES):
         raise _unreadable(path, what, error) from None
 
 
-def check_readable(path, what, most=MOST_BYTES):
+def check_readable(path: str | os.PathLike[str], what: str, most: int = MOST_BYTES) -> pathlib.Path:
     """The pathlib.Path of the file `path`, which a user named as a `what`. Raises UsageError as read_bytes does, but
     does not read the file."""
     path = pathlib.Path(path)
@@ -100,10 +107,10 @@ class _Yaml(yaml.SafeLoader):
             raise yaml.YAMLError("aliases (*name) are not supported")
         return super().compose_node(parent, index)
 
-    def fetch_flow_collection_start(self, token):
+    def fetch_flow_collection_start(self, TokenClass):
         if self.flow_level >= _MOST_DEEP:  # before PyYAML looks ahead in time that grows with the square
             raise yaml.YAMLError("it is nested too deeply")
-        super().fetch_flow_collection_start(token)
+        super().fetch_flow_collection_start(TokenClass)
 
     def construct_mapping(self, node, deep=False):
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
@@ -153,7 +160,7 @@ _PARSERS = {
 }
 
 
-def parse(path, what, content, ending=None):
+def parse(path: str | os.PathLike[str], what: str, content: bytes, ending: str | None = None) -> Any:
     """The document in `content` (bytes), parsed as the ending of `path`, or `ending`, says: dicts, lists, numbers,
     text. Raises UsageError."""
     ending = pathlib.Path(path).suffix if ending is None else ending
@@ -171,7 +178,9 @@ def parse(path, what, content, ending=None):
     raise UsageError(f"{what} {shown_path(path)} is not {language}: {problem}")
 
 
-def check_values(document, tell, described=lambda key: ""):
+def check_values(
+    document: Any, tell: Callable[[str, str], object], described: Callable[[str], str] = lambda key: ""
+) -> None:
     """Refuses values that are valid in no field: numbers that are not finite or beyond MOST_NUMBER, text that no
     encoding has, keys that are no text. tell(key, problem): raises the error. described(key): what a number has to be
     there, or ""."""
@@ -198,13 +207,13 @@ def check_values(document, tell, described=lambda key: ""):
             tell(key, f"text is wanted, not half a character: {shown(value)}")
 
 
-def convert(document, schema, name):
+def convert(document: Any, schema: type[T], name: str) -> T:
     """`document` as the msgspec type `schema`. name: how messages call it ("map 'hall.toml'"). Raises UsageError.
 
     What is allowed follows from the types; where a `description` of a msgspec.Meta says it better, messages have that.
     """
 
-    def tell(key, problem):
+    def tell(key: str, problem: str) -> NoReturn:
         where = f", key {shown(key)}" if key else ""
         raise UsageError(f"{name}{where}: {problem}.")
 
@@ -235,7 +244,7 @@ _WORDS = {
 
 
 def _alternatives(kinds):
-    """The types that the annotations `kinds` allow, each with its msgspec.Meta, if it has one: [(type, Meta or None)]."""
+    """The types that the annotations `kinds` allow, each with its msgspec.Meta or None: [(type, Meta or None)]."""
     found = []
     for kind in kinds:
         meta, origin = None, typing.get_origin(kind)
@@ -258,17 +267,15 @@ def _fits(value, kind):
 
 
 def _place(document, schema, path):
-    """Where msgspec's `path` ("$.mounts[...].position") leads in `document`: the key, the value, the types allowed, and the
-    last description (msgspec.Meta) on the way, or ""."""
+    """Where msgspec's `path` ("$.mounts[...].position") leads in `document`: the key, the value, the types allowed, and
+    the last description (msgspec.Meta) on the way, or ""."""
     key, value, kinds, around = "", document, [schema], ""
     for name, index, _ in _STEP.findall(path):
         allowed = [kind for kind, _ in _alternatives(kinds)]
         around = _description(kinds) or around
         if name:
             key, value = f"{key}.{name}" if key else name, value[name]
-            kinds = [
-                typing.get_type_hints(kind, include_extras=True)[name] for kind in allowed if hasattr(kind, name)
-            ]
+            kinds = [typing.get_type_hints(kind, include_extras=True)[name] for kind in allowed if hasattr(kind, name)]
         elif index:
             key, value = f"{key}[{index}]", value[int(index)]
             kinds = [
@@ -293,7 +300,8 @@ def _range(meta):
     """What a number's or a list's Meta allows, in words."""
     if meta.min_length is not None and meta.min_length == meta.max_length:
         return f"of {meta.min_length}"
-    least, most = (meta.ge, meta.le) if meta.min_length is meta.max_length is None else (meta.min_length, meta.max_length)
+    sized = meta.min_length is not None or meta.max_length is not None
+    least, most = (meta.min_length, meta.max_length) if sized else (meta.ge, meta.le)
     words = ["" if least is None else f"of at least {least:g}", "" if most is None else f"of at most {most:g}"]
     if meta.gt is not None:
         words[0] = f"above {meta.gt:g}"
@@ -329,7 +337,7 @@ def _explained(document, schema, text):
     return key, f"{problem.replace('`', chr(39))[:300]}, not {shown(value)}{around}"
 
 
-def read_document(path, schema, what, most=MOST_BYTES):
+def read_document(path: str | os.PathLike[str], schema: type[T], what: str, most: int = MOST_BYTES) -> T:
     """The document in the file `path` (.toml, .json, .yaml or .yml) as the msgspec type `schema`.
 
     what: how messages call it ("map"). Raises UsageError, one line that names the file, the key and what is allowed.

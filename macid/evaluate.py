@@ -1,11 +1,14 @@
 """Tables I and II: pedestrian models, and the LCFs of one model, compared on the paper's four levels."""
 
 import dataclasses
+import itertools
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from macid import metrics
-from macid.crowd import Crowd, CrowdConfig, Episode
+from macid.crowd import CONFIG, Crowd, CrowdConfig, Episode
 from macid.engines.base import DIVERGED
 from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
@@ -22,12 +25,12 @@ def _recipe(pedestrian):
     return getattr(getattr(make_controller(pedestrian, 0.02), "policy", None), "recipe", {})
 
 
-def usual_period(pedestrian):
+def usual_period(pedestrian: str) -> float:
     """The time between decisions [s] that a learned model was trained with; a physics step for a rule."""
     return _recipe(pedestrian).get("period", PHYSICS_STEP)
 
 
-def table_lcf(pedestrian):
+def table_lcf(pedestrian: str) -> tuple[float, float]:
     """The range of LCFs (least, most) with which a model enters Table II; rules ignore it."""
     recipe = _recipe(pedestrian)
     if "lcf_mean" in recipe:  # CoPO's own distribution, as a uniform one of its mean and standard deviation
@@ -36,7 +39,7 @@ def table_lcf(pedestrian):
     return get_method(recipe["method"]).test_lcf if "method" in recipe else _COOPERATIVE
 
 
-def lcf_bins(pedestrian):
+def lcf_bins(pedestrian: str) -> list[tuple[float, float]]:
     """Table I's sections of the range in which a learned model's LCFs were drawn: [(least, most), ...].
 
     Raises ValueError for a model without LCFs.
@@ -46,16 +49,24 @@ def lcf_bins(pedestrian):
     if low == high:
         raise ValueError(f"'{pedestrian}' was not trained with LCFs: there is nothing to divide.")
     edges = np.linspace(low, high, LCF_BINS + 1).tolist()
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(itertools.pairwise(edges))
 
 
-def evaluate_level(pedestrian, level, episodes=5, seed=0, config=CrowdConfig(), engine="native"):
-    """One model on one level: a dict of Table II's columns, of `arrived` [%], and of how people walk: `dv` [m/s a second]
-    and `dw` [rad/s a second], the mean change of speed and of yaw rate between decisions, and `stalled` [%], the share of
-    the time below 0.1 m/s; and their standard deviation over episodes.
+def evaluate_level(
+    pedestrian: str,
+    level: int | str,
+    episodes: int = 5,
+    seed: int = 0,
+    config: CrowdConfig = CONFIG,
+    engine: str = "native",
+) -> dict[str, Any]:
+    """One model on one level: a dict of Table II's columns, of `arrived` [%], and of how people walk: `dv` [m/s a
+    second] and `dw` [rad/s a second], the mean change of speed and of yaw rate between decisions, and `stalled` [%],
+    the share of the time below 0.1 m/s; and their standard deviation over episodes.
 
-    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch. `faults`: the episodes
-    in which physics failed, and how; these are scored nowhere. Raises ValueError where no sound episode is left.
+    config's `number` is overridden by the level's. The episodes run at once, as worlds of one batch. `faults`: the
+    episodes in which physics failed, and how; these are scored nowhere. Raises ValueError where no sound episode is
+    left.
     """
     layout, config, (end,), faults = _play(pedestrian, level, [(config.lcf, episodes)], seed, config, engine)
     return {
@@ -76,11 +87,12 @@ def _play(pedestrian, level, groups, seed, config, engine):
     Episode, which has only the worlds in which physics did not fail; and the faults in all other worlds, [{"episode",
     "what"}, ...], where episodes are counted through all groups.
 
-    groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as many
-    episodes have the same starts and goals. All are worlds of one batch. Raises ValueError where a group has no sound world.
+    groups: pairs of a range of LCFs and a number of episodes. Each group begins from the same seed, so groups of as
+    many episodes have the same starts and goals. All are worlds of one batch. Raises ValueError where a group has no
+    sound world.
     """
     layout = load_level(level)
-    config = dataclasses.replace(config, number=layout.pedestrians)
+    config = dataclasses.replace(config, number=layout.people)
     crowd = Crowd(layout, config, nworld=sum(episodes for _, episodes in groups), engine=engine)
     drawn = [crowd.draw(np.random.default_rng((seed, *level_seed(level))), n, lcf) for lcf, n in groups]
     start = crowd.begin(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
@@ -129,11 +141,19 @@ def _measured(end):
     }
 
 
-def measure_knob(pedestrian, level, episodes=5, mixed=10, seed=0, config=CrowdConfig(), engine="native"):
+def measure_knob(
+    pedestrian: str,
+    level: int | str,
+    episodes: int = 5,
+    mixed: int = 10,
+    seed: int = 0,
+    config: CrowdConfig = CONFIG,
+    engine: str = "native",
+) -> dict[str, Any]:
     """How a learned model's LCF works on one level: a dict of
 
-    - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in which
-      everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
+    - `sections`, Table I's sections of its LCFs, (least, most) each; `SR10` [%] and `CP` of `episodes` episodes in
+      which everybody's LCF is of one section; `SR10_rank` and `CP_rank`, their rank correlations with the sections;
     - `own_CP`, of `mixed` episodes in which everybody's LCF is drawn from the whole range: for each section, the mean
       collision steps of people whose own LCF is of it; `own_people`, how many people these are; `own_CP_rank`.
 
@@ -173,12 +193,12 @@ def _rank_correlation(values):
     return correlation if np.isfinite(correlation) else None
 
 
-def level_name(level):
+def level_name(level: int | str) -> str:
     """How a table calls a level."""
     return f"Lv.{level}" if level in LEVELS else str(level)
 
 
-def level_seed(level):
+def level_seed(level: int | str) -> tuple[int, ...]:
     """The whole numbers that stand behind the seed in the random generator of a level's episodes. No two levels have
     the same, so that no two levels share their draws."""
     if level in LEVELS:
@@ -201,7 +221,7 @@ def _over_episodes(statistic, values):
     return float(statistic(numbers)) if numbers else None
 
 
-def format_table(rows):
+def format_table(rows: Iterable[dict[str, Any]]) -> str:
     """Rows of `evaluate_level` as Table II's columns, plain text; below them the episodes that are not scored."""
 
     def cell(row, name):
@@ -216,7 +236,8 @@ def format_table(rows):
     ]
     for row in rows:
         lines.append(
-            f"{row['pedestrian']:<21}{level_name(row['level']):<7}{row['people']:>6}{_range(row['config']['lcf']):>15}  "
+            f"{row['pedestrian']:<21}{level_name(row['level']):<7}{row['people']:>6}"
+            f"{_range(row['config']['lcf']):>15}  "
             f"{cell(row, 'SR10'):>14}{cell(row, 'CP'):>16}{cell(row, 'PE'):>14}{cell(row, 'arrived'):>14}"
             f"{cell(row, 'dv'):>14}{cell(row, 'dw'):>15}{cell(row, 'stalled'):>14}"
         )

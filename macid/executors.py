@@ -48,7 +48,7 @@ class Executor(Protocol):
 class Local:
     """Runs one job after the other in this process."""
 
-    workers = None
+    workers: int | None = None
 
     def __enter__(self) -> "Local":
         return self

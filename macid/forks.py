@@ -30,7 +30,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_note)
 
 
-def refuse(made=None):
+def refuse(made: int | None = None) -> None:
     """Raises RuntimeError in a process that can't go on: it would wait for ever for threads that are not there.
 
     Such a process was forked after JAX began its threads, or after the process with the id `made` made the object that
@@ -38,6 +38,7 @@ def refuse(made=None):
     """
     if _forked_from_jax or made not in (None, os.getpid()):
         raise RuntimeError(
-            "This process was forked after its parent had used JAX or made this environment, and neither survives that. "
-            "Use processes by spawn (context='spawn'), or gymnasium.make_vec(id, num_envs=N), which needs no processes."
+            "This process was forked after its parent had used JAX or made this environment, and neither survives "
+            "that. Use processes by spawn (context='spawn'), or gymnasium.make_vec(id, num_envs=N), which needs no "
+            "processes."
         )

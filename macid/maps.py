@@ -2,8 +2,9 @@
 
 import functools
 import math
+import os
 import pathlib
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -22,11 +23,17 @@ _YAML_BYTES = 1 << 16
 _Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
+if TYPE_CHECKING:
+    _Resolution = float
+else:
+    _Resolution = number("a number above 0 and of at most 100 m", gt=0, le=100)
+
+
 class _Occupancy(msgspec.Struct):
     """The keys of map_server's YAML that count here; it may have others. Defaults are map_server's."""
 
     image: Annotated[str, Meta(min_length=1)]
-    resolution: number("a number above 0 and of at most 100 m", gt=0, le=100)
+    resolution: _Resolution
     origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 0.0)
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, Meta(gt=0, le=1)] = 0.65
@@ -34,7 +41,7 @@ class _Occupancy(msgspec.Struct):
     mode: str = "trinary"
 
 
-def map_names():
+def map_names() -> list[str]:
     """Names of the maps in assets/maps."""
     return sorted(assets.names("maps", ".toml") + assets.names("maps", ".yaml"))
 
@@ -65,13 +72,15 @@ def _load(name):
 MAPS: Kind[Layout] = Kind("map", shipped=map_names, read=_load, files=_SUFFIXES)
 
 
-def map_files(name):
+def map_files(name: str) -> list[pathlib.Path]:
     """The files of a map that is given as a file: it and its image; none of one of `map_names()`. Raises UsageError."""
     path = pathlib.Path(name)
     if path.suffix not in _SUFFIXES:
         return []
     found = path.stat()
-    return [path] if path.suffix == ".toml" else [path, _image(path, _fields(path.resolve(), found.st_mtime_ns, found.st_size))]
+    if path.suffix == ".toml":
+        return [path]
+    return [path, _image(path, _fields(path.resolve(), found.st_mtime_ns, found.st_size))]
 
 
 def _changed(path):
@@ -100,7 +109,7 @@ def _image(file, fields):
     return file.parent / fields.image
 
 
-def load_occupancy(file):
+def load_occupancy(file: str | os.PathLike[str]) -> Layout:
     """The Layout of an occupancy image described by the YAML `file`: image, resolution [m], and map_server's origin,
     negate, occupied_thresh, free_thresh, mode.
 
@@ -134,8 +143,8 @@ def load_occupancy(file):
 
 
 def _boxes(solid, resolution, yaw):
-    """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their centre,
-    and boxes (B, 5) that cover them and the square outside them."""
+    """The side [m] of a square map around the cells `solid` (rows, columns) bool, turned by `yaw` [rad] about their
+    centre, and boxes (B, 5) that cover them and the square outside them."""
     if yaw == 0:
         return resolution * max(solid.shape), rectangles(solid, resolution)
     height, width = np.array(solid.shape) * resolution
@@ -169,7 +178,7 @@ def _clipped(corners, axis, sign, edge):
     return np.reshape(found, (-1, 2))
 
 
-def rectangles(solid, resolution):
+def rectangles(solid: np.ndarray, resolution: float) -> np.ndarray:
     """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and the square around them outside them.
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes
@@ -195,8 +204,8 @@ def _rectangles(solid, resolution):
     merged = cover.merged(solid, resolution, MAX_BOXES)
     if not cover.leaves_room(solid, merged, resolution):
         raise ValueError(
-            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody room "
-            "to go. Smooth it, or lower its resolution."
+            f"its image needs {needed:,} boxes; merged into the {MAX_BOXES:,} that are possible, they leave nobody "
+            "room to go. Smooth it, or lower its resolution."
         )
     return merged
 

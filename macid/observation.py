@@ -6,16 +6,19 @@
 | speed | magnitude of the velocity | m/s |
 | yaw_rate | counter-clockwise | rad/s |
 | collision | 1 when touching anything, else 0 | - |
-| rays | 12 rays, 30 degrees apart, the first ahead, then counter-clockwise; for each its distance from the centre and the velocity of what it hits less one's own, body frame | m, m/s, m/s |
+| rays | 12 rays, of each the distance and the relative velocity | m, m/s, m/s |
 
-A ray that meets nothing within 7 m reads 7 m and no relative velocity. Walls and obstacles stand still, so that their
-relative velocity is one's own, reversed.
+The rays are 30 degrees apart, the first ahead, then counter-clockwise. A distance is from the person's centre. The
+relative velocity is that of what the ray hits less the person's own, in the body frame. A ray that meets nothing within
+7 m reads 7 m and no relative velocity. Walls and obstacles stand still, so that their relative velocity is one's own,
+reversed.
 """
 
 import math
 
 from macid import geometry
-from macid.state import RADIUS
+from macid.geometry import Array
+from macid.state import RADIUS, CrowdState
 
 RAYS = 12
 RAY_RANGE = 7.0  # [m]
@@ -24,7 +27,7 @@ SIZE = sum(COLUMNS.values())
 _RAYS = [(math.cos(angle), math.sin(angle)) for angle in (2 * math.pi * ray / RAYS for ray in range(RAYS))]
 
 
-def cast_rays(state, boxes):
+def cast_rays(state: CrowdState, boxes: Array) -> tuple[Array, Array]:
     """Distances (..., K, RAYS) [m] to the nearest person or box, and the relative velocity (..., K, RAYS, 2), body
     frame.
 
@@ -43,7 +46,7 @@ def cast_rays(state, boxes):
     return distance, xp.where((distance < RAY_RANGE)[..., None], relative, xp.zeros_like(relative))
 
 
-def observe(state, boxes, goals):
+def observe(state: CrowdState, boxes: Array, goals: Array) -> Array:
     """Observations (..., K, SIZE) of CrowdState `state` (..., K) among `boxes` (..., B, 5) with `goals` (..., K, 2)
     [m]."""
     xp = state.position.__array_namespace__()

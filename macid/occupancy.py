@@ -1,6 +1,7 @@
 """Occupancy images, as ROS's map_server reads them: which of their cells are solid. Unknown cells are."""
 
 import io
+import os
 import re
 import warnings
 
@@ -17,8 +18,11 @@ _FORMATS = ("PNG", "BMP", "JPEG", "GIF", "TIFF", "WEBP")  # beside the portable 
 _OPAQUE_MODES = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535}  # Pillow's, and the value of white
 _BITS = {"1": 1, "4": 1, "2": 1, "5": 1, "3": 3, "6": 3}  # channels of P1 to P6
 
+# What this module, and Pillow for broken files, raise.
+_BROKEN = (ValueError, OSError, SyntaxError, EOFError, LookupError, ArithmeticError, TypeError, AttributeError)
 
-def solid_cells(path, mode, negate, free_thresh):
+
+def solid_cells(path: str | os.PathLike[str], mode: str, negate: bool | int, free_thresh: float) -> np.ndarray:
     """Which cells of the image `path` are not known to be free: (rows, columns) bool, the image's lowest row first.
 
     As map_server has it, a cell's brightness is the mean of red, green and blue, from 0 to 1, and its occupancy is 1
@@ -54,8 +58,7 @@ def _brightness(path):
         return _portable(content) if re.match(rb"P[1-6]\s|P[1-6]#", content) else _picture(content)
     except UsageError:
         raise
-    except (ValueError, OSError, SyntaxError, EOFError, LookupError, ArithmeticError, TypeError, AttributeError) as error:
-        # ours, and what Pillow raises for broken files
+    except _BROKEN as error:
         problem = " ".join(str(error).split()).encode("ascii", "backslashreplace").decode()[:200]
     raise UsageError(f"Can't read the map image {shown_path(path)}: {problem.rstrip('.')}.")
 

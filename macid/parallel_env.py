@@ -5,6 +5,8 @@ import dataclasses
 import numbers
 import types
 import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import jax
@@ -12,14 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import forks
-from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
 from macid.documents import is_number, shown
 from macid.evaluate import level_seed
 from macid.layout import Layout, load_level
 from macid.observation import RAY_RANGE, RAYS, SIZE, observe
 from macid.pedestrians.learned import to_command
 from macid.policy import ACTIONS, to_velocity
-from macid.reward import RewardWeights
+from macid.reward import WEIGHTS, RewardWeights
+
+if TYPE_CHECKING:
+    from macid.watch import Recording
 
 try:
     from pettingzoo import ParallelEnv
@@ -65,17 +70,27 @@ class CrowdParallelEnv(ParallelEnv):
     Raises ValueError for unknown names and values outside their domain.
     """
 
-    metadata = {"name": "macid_crowd_v0", "render_modes": []}
+    # PettingZoo has it as an attribute of instances.
+    metadata: dict[str, Any] = {"name": "macid_crowd_v0", "render_modes": []}  # noqa: RUF012
     render_mode = None
+    # None once the environment is closed, and most of them before the first reset; _check_usable and _check_begun tell.
+    crowd: Any  #: a macid.crowd.Crowd
+    _advance_jitted: Any
+    _look_jitted: Any
+    _rng: Any  # a numpy Generator
+    _seed: Any  # int, or None where none was given
+    _episode: Any  # a macid.crowd.Episode
+    _lcf: Any  # (K,) float32
+    _steps: Any  # int: since the reset
 
     def __init__(
         self,
-        level=2,
-        config=CrowdConfig(),
-        number=None,
-        reward="coordinated",
-        weights=RewardWeights(),
-        engine="native",
+        level: int | str | Layout = 2,
+        config: CrowdConfig = CONFIG,
+        number: int | None = None,
+        reward: str = "coordinated",
+        weights: RewardWeights = WEIGHTS,
+        engine: str = "native",
     ):
         if reward not in REWARDS:
             raise ValueError(f"Unknown reward '{reward}'. Choose one of {', '.join(REWARDS)}.")
@@ -102,7 +117,7 @@ class CrowdParallelEnv(ParallelEnv):
         }
         self._advance_jitted, self._look_jitted = jax.jit(self._advance), jax.jit(self._look)
         self._rng = self._seed = self._episode = self._lcf = self._steps = None
-        self._moments = []
+        self._moments: list[Any] = []
 
     def __reduce__(self):
         return type(self), self._arguments
@@ -119,7 +134,7 @@ class CrowdParallelEnv(ParallelEnv):
             made.close()
         return made
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         self.crowd = self._episode = self._advance_jitted = self._look_jitted = None
         self._moments = []
@@ -129,23 +144,23 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
         forks.refuse()
 
-    def observation_space(self, agent):
+    def observation_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (41,) of `agent`; unbounded where contacts can push people faster than they walk."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent):
+    def action_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (2,) of `agent`."""
         return self.action_spaces[agent]
 
     @property
-    def lcf(self):
+    def lcf(self) -> Any:
         """Everybody's LCF, {agent: number}, to read. Set it at any time: to a number for all, to a range (least, most)
         from which each draws, or to {agent: number} for some agents."""
         self._check_begun()
         return types.MappingProxyType(dict(zip(self.possible_agents, self._lcf.tolist(), strict=True)))
 
     @lcf.setter
-    def lcf(self, value):
+    def lcf(self, value: Any) -> None:
         self._check_begun()
         lcf = self._lcf.copy()
         if isinstance(value, dict):
@@ -166,7 +181,9 @@ class CrowdParallelEnv(ParallelEnv):
         self._lcf = lcf
         self._episode = self._episode._replace(lcf=jnp.asarray(lcf[None]))
 
-    def reset(self, seed=None, options=None):
+    def reset(
+        self, seed: int | None = None, options: dict | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
         """Begins an episode: observations and infos, {agent: ...}. Unknown options are told by a warning."""
         self._check_usable()
         if seed is not None and not _is_whole(seed, 0, 2**62 - 1):
@@ -195,7 +212,7 @@ class CrowdParallelEnv(ParallelEnv):
         self._moments = [moment]
         return self._by_agent(np.array(observed[0])), self._infos(moment)
 
-    def step(self, actions):
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict, dict, dict, dict, dict]:
         """One decision of all `agents`: {agent: (2,)}; actions of agents that have left are ignored.
 
         Returns observations, rewards, terminations, truncations and infos, {agent: ...}, of the agents that acted.
@@ -221,7 +238,7 @@ class CrowdParallelEnv(ParallelEnv):
         self.agents = [agent for agent in self.agents if not (arrived | late)[self._index[agent]]]
         return result
 
-    def recording(self, name="agents"):
+    def recording(self, name: str = "agents") -> "Recording":
         """The episode so far, for `macid.watch.film(recording, path)`. name: the pedestrians' name, for the header."""
         from macid.watch import Recording
 
@@ -286,7 +303,7 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("Call reset first.")
 
 
-def observation_bounds(size):
+def observation_bounds(size: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and most (41,) that an observation on a map of side `size` [m] can hold, float32.
 
     Goals lie on the map and rays end at 7 m. Speeds, yaw rates and relative velocities have no bound: people walk at up

@@ -1,4 +1,4 @@
-"""One resolver for every kind of name: a built-in, somebody's own `module:attribute` or `file.py:attribute`, or a data file.
+"""One resolver for every kind of name: a built-in, one's own `module:attribute` or `file.py:attribute`, or a data file.
 
 A `Kind` is one kind of thing that users name: a pedestrian model, an agent, a map. It says which names come with the
 project, which files are read, and what an object of somebody's own has to be.
@@ -13,6 +13,7 @@ import pathlib
 import sys
 import sysconfig
 import traceback
+import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -78,7 +79,7 @@ class Kind(Generic[T]):
         return self.error(f"Unknown {self.what} {shown(name)}. {self.help}")
 
     def load(self, name: str) -> T:
-        """What `name` stands for. Raises `error`, with the valid choices, and `failed` where somebody's own code fails."""
+        """What `name` stands for. Raises `error`, with the valid choices, and `failed` where one's own code fails."""
         if not isinstance(name, str):
             raise self.unknown(name)
         if name in self.built_in:
@@ -118,7 +119,7 @@ class Kind(Generic[T]):
         except (Exception, SystemExit) as error:
             raise self.failed(f"{self._called(name)}: {doing} {raised(error)}.") from error
 
-    def _from_module(self, module, attribute, name):
+    def _from_module(self, module: str, attribute: str, name: str) -> Any:
         if not all(part.isidentifier() for part in module.split(".")):
             raise self.error(f"{self._called(name)}: {shown(module)} is no module's name. {self.help}")
         if os.getcwd() not in sys.path:  # a console script has no current folder there
@@ -133,10 +134,11 @@ class Kind(Generic[T]):
             raise
         return self._attribute(loaded, attribute, name)
 
-    def _from_file(self, path, attribute, name):
+    def _from_file(self, path: str, attribute: str, name: str) -> Any:
         if not pathlib.Path(path).is_file():
             raise self.error(f"{self._called(name)}: there is no file {shown(path)}. {self.help}")
         spec = importlib.util.spec_from_file_location(own_module(path), path)
+        assert spec is not None and spec.loader is not None  # of a file that ends in .py
         module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
         folder = str(pathlib.Path(path).resolve().parent)
         if folder not in sys.path:  # for what lies beside the file
@@ -145,7 +147,7 @@ class Kind(Generic[T]):
             spec.loader.exec_module(module)
         return self._attribute(module, attribute, name)
 
-    def _attribute(self, module, attribute, name):
+    def _attribute(self, module: types.ModuleType, attribute: str, name: str) -> Any:
         with self.running(name, f"its '{attribute}'"):
             found = getattr(module, attribute, _MISSING)
         if found is _MISSING:
@@ -157,8 +159,8 @@ class Kind(Generic[T]):
 
 
 def own_module(name: str) -> str:
-    """The name in sys.modules of the module that `module:attribute` or `file.py[:attribute]` names, once it is loaded; "" for
-    other names."""
+    """The name in sys.modules of the module that `module:attribute` or `file.py[:attribute]` names, once it is loaded;
+    "" for other names."""
     module, colon, _ = name.rpartition(":") if ":" in name else (name, "", "")
     if module.endswith(".py"):
         return f"own_{pathlib.Path(module).stem}"

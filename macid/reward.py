@@ -4,6 +4,7 @@ import dataclasses
 
 from macid import geometry
 from macid.documents import MOST_NUMBER, is_number, shown
+from macid.geometry import Array
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +24,12 @@ class RewardWeights:
                 )
 
 
-def individual_reward(distance_reduced, arrived, collided, weights=RewardWeights()):
+WEIGHTS = RewardWeights()  #: those where nothing else is said
+
+
+def individual_reward(
+    distance_reduced: Array, arrived: Array, collided: Array, weights: RewardWeights = WEIGHTS
+) -> Array:
     """Eq. 5: w_d r_d + w_g I_g - w_c I_c, any shape. distance_reduced in metres; arrived, collided are indicators."""
     return weights.distance * distance_reduced + weights.goal * arrived - weights.collision * collided
 
@@ -31,13 +37,13 @@ def individual_reward(distance_reduced, arrived, collided, weights=RewardWeights
 NEIGHBOR_DISTANCE = 5.0  # d_n of eq. 1 [m]
 
 
-def neighbors(position):
+def neighbors(position: Array) -> Array:
     """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody neighbours
     himself."""
     return geometry.pairs_within(position, NEIGHBOR_DISTANCE)
 
 
-def neighborhood_mean(values, near):
+def neighborhood_mean(values: Array, near: Array) -> Array:
     """Mean of `values` (..., K, F) over each person's neighbours `near` (..., K, K): (..., K, F); 0 without neighbours.
 
     Eq. 1 is this mean of the neighbours' individual rewards.

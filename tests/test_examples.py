@@ -1,4 +1,5 @@
-"""What users bring: tests/examples run as their first lines say, and what is wrong with one's own is told in one line."""
+"""What users bring: tests/examples run as their first lines say, and what is wrong with one's own is told in one
+line."""
 
 import json
 import pathlib
@@ -57,7 +58,8 @@ def test_a_sensor_reads_where_the_nearest_person_is(here):
 
 
 def test_pedestrians_walk_in_both_commands(here):
-    content = scored(here, "--agent", "goal", "--suite", "smoke", "--set", "pedestrian_model=own_pedestrian.py:KeepRight")
+    setting = "pedestrian_model=own_pedestrian.py:KeepRight"
+    content = scored(here, "--agent", "goal", "--suite", "smoke", "--set", setting)
     assert content["config"]["pedestrian_model"] == "own_pedestrian.py:KeepRight"
     words = ["--pedestrian", "own_pedestrian.py:KeepRight", "--levels", "1", "--episodes", "1"]
     assert macid.cli.main(["evaluate", *words, "--out", "walk.json"]) == 0

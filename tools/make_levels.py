@@ -1,5 +1,6 @@
-"""Writes the frozen levels that are drawn from seeds to assets/layouts: the paper's four (Fig. 1, sec. IV-A), lv1 to lv4,
-the four for validation, v1 to v4, and three of other kinds. (foyer, crossroads and furnished were drawn by hand.)"""
+"""Writes the frozen levels that are drawn from seeds to assets/layouts: the paper's four (Fig. 1, sec. IV-A), lv1 to
+lv4, the four for validation, v1 to v4, and three of other kinds. (foyer, crossroads and furnished were drawn by
+hand.)"""
 
 import pathlib
 
@@ -13,6 +14,7 @@ FOLDER = pathlib.Path(__file__).resolve().parent.parent / "assets" / "layouts"
 
 
 def main():
+    """Writes all of them."""
     for level, people in PEOPLE.items():
         write(f"lv{level}", f"Lv.{level}", level, people)
         write(f"v{level}", f"validation {level}", 100 + level, people)

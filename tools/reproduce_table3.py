@@ -294,7 +294,9 @@ def main():
     parser.number("--steps", float, 1.0, MOST_STEPS, default=1e6, help="of each training (default 1e6)")
     parser.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
-    parser.add_argument("--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores")
+    parser.add_argument(
+        "--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores"
+    )
     parser.add_argument("--out", type=command.name, default="table3")
     add_executor(parser)
 

@@ -72,11 +72,10 @@ def wanted(agent_steps, seeds=None):
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]
     papers = [preset("paper", method=method) for method in AS_GIVEN]  # to the paper's own budget
     share = agent_steps / BUDGET
-    return {replace(config, agent_steps=int(share * config.agent_steps)): seeds or OTHERS_SEEDS for config in papers} | {
-        replace(config, agent_steps=int(share * agent_steps)): seeds or count
-        for configs, count, share in groups
-        for config in configs
-    }
+    found = {replace(config, agent_steps=int(share * config.agent_steps)): seeds or OTHERS_SEEDS for config in papers}
+    for configs, count, part in groups:
+        found |= {replace(config, agent_steps=int(part * agent_steps)): seeds or count for config in configs}
+    return found
 
 
 def find_policies(configs, *folders):
@@ -104,7 +103,8 @@ def find_policies(configs, *folders):
 
 def train_missing(configs, found, folder, executor=None, engine="native"):
     """Trains those of `configs`, {TrainConfig: count of seeds}, of which `found` lacks one of the first seeds: side by
-    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster so."""
+    side on an executor of several workers, or seeds that follow on each other at once, with an engine that is faster
+    so."""
     kind, _ = engine_kind(engine)
     todo = [
         replace(config, seed=seed, engine=engine)
@@ -231,7 +231,8 @@ def over_seeds(rows_by_seed, columns=COLUMNS):
 
 def line(label, mean, std=None):
     """A row of a Markdown table; "-" for NaN."""
-    cells = [f"{m:.1f}" if std is None else f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, mean if std is None else std)]
+    spread = mean if std is None else std
+    cells = [f"{m:.1f}" if std is None else f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, spread, strict=False)]
     return text_row(label, ["-" if np.isnan(m) else cell for m, cell in zip(mean, cells, strict=False)])
 
 
@@ -276,7 +277,8 @@ def knob_table(figure, by_method, levels):
     for method, seeds in by_method.items():
         found = []
         for rows in seeds:
-            values = np.array([[np.nan if v is None else v for v in of_level[figure]] for of_level in rows])  # levels, 6
+            values = [[np.nan if v is None else v for v in of_level[figure]] for of_level in rows]
+            values = np.array(values)  # levels, 6
             mean = values.mean(axis=0)
             found.append([*ranks(values.T), rank_correlation(mean)])
             cells = ["-" if np.isnan(r) else f"{r:.2f}" for r in found[-1]]
@@ -439,7 +441,9 @@ def _table1(turned, policies, tabled):
 def main():
     """Entry point."""
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policies", type=command.name, default="assets/policies", help="folder with .npz and .json files")
+    parser.add_argument(
+        "--policies", type=command.name, default="assets/policies", help="folder with .npz and .json files"
+    )
     parser.number(
         "--seeds", int, 1, MOST_SEEDS, help=f"of each training (default: {SEEDS}, and {OTHERS_SEEDS} of other settings)"
     )
@@ -452,7 +456,9 @@ def main():
         help=f"of those (default {BUDGET:.0e}; {SLOWER:g} of it at other periods)",
     )
     parser.add_argument("--no-train", action="store_true", help="only evaluate what is there")
-    parser.add_argument("--engine", type=command.name, default="native", help="of trainings: native, mjx or warp, see macid.engines")
+    parser.add_argument(
+        "--engine", type=command.name, default="native", help="of trainings: native, mjx or warp, see macid.engines"
+    )
     parser.number("--episodes", int, 1, MOST_WORLDS, default=5, help="a level and seed (default 5)")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument("--note-scores", action="store_true", help="write Table II's figures into the policies' json")

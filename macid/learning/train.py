@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import os
 import pathlib
 import time
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +16,7 @@ import numpy as np
 from macid import contacts, geometry, scene, start
 from macid.engines import engine_kind, make_engine
 from macid.engines.base import repeat
+from macid.executors import Executor
 from macid.files import UsageError, lock_folder, versions
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
@@ -37,7 +40,7 @@ from macid.learning.methods import get_method
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
 from macid.policy import INPUTS, Policy, inputs, load_policy, mlp, to_velocity
-from macid.reward import RewardWeights, individual_reward, neighborhood_mean, neighbors
+from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
 _CELL = 1.0  # side of the squares of the map that share a list of goals [m]
@@ -45,12 +48,13 @@ _GOALS = 64  # in such a list
 _STARTS = 32  # crowds from which episodes begin
 
 
-# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the paper's
-# lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it 1.3 s.
+# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the
+# paper's lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it
+# 1.3 s.
 PRESETS = {
     "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
-    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of ten
-    # times as many each.
+    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of
+    # ten times as many each.
     "gpu": {
         "ppo": learning.PpoConfig(batch=32_000, epochs=2, lam=0.985),
         "nworld": 1024,
@@ -58,8 +62,8 @@ PRESETS = {
         "episode": 40,
         "agent_steps": 300_000_000,
     },
-    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes, constant rate,
-    # eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
+    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes,
+    # constant rate, eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
     "paper": {
         "ppo": learning.PpoConfig(
             final_learning_rate=1e-3,
@@ -94,13 +98,13 @@ class TrainConfig:
     rollout: int = 125  # decisions between updates
     episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
     agent_steps: int = 20_000_000  # budget
-    reward: RewardWeights = RewardWeights()
+    reward: RewardWeights = WEIGHTS
     ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
     inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
 
     @property
-    def name(self):
-        """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
+    def name(self) -> str:
+        """The method, and what sets this apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
         presets = [
             name
             for name, fields in PRESETS.items()
@@ -127,9 +131,9 @@ class TrainConfig:
             )
 
 
-def preset(name, **fields):
-    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError, naming the
-    valid presets."""
+def preset(name: str, **fields: Any) -> TrainConfig:
+    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError,
+    naming the valid presets."""
     if name not in PRESETS:
         raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
     whole = {**PRESETS[name], **fields}
@@ -162,7 +166,7 @@ class TrainState(NamedTuple):
 
 
 # Seeds trained at once lie along a leading axis of all but the iteration, which they share.
-_SEEDS = TrainState(0, 0, 0, 0, 0, 0, None)
+_SEEDS = TrainState._make((0, 0, 0, 0, 0, 0, None))
 
 
 def _figures(walk):
@@ -178,17 +182,17 @@ def _figures(walk):
 
 
 class Trainer:
-    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several stacked.
+    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of stacked ones.
 
-    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the seeds,
-    which then run apart. Raises ValueError where it can't.
+    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the
+    seeds, which then run apart. Raises ValueError where it can't.
     """
 
-    def __init__(self, config: TrainConfig, devices=None):
+    def __init__(self, config: TrainConfig, devices: Sequence[Any] | None = None):
         self.config, self.method = config, get_method(config.method)
         self._see, self._seen = INPUTS[config.inputs]
         layout = load_level(config.level)
-        self.number = layout.pedestrians
+        self.number = layout.people
         model = scene.crowd_spec(layout, self.number).compile()
         self.engine = make_engine(config.engine, model, self.number, layout.boxes, config.nworld)
         if devices and not self.engine.shards:
@@ -213,7 +217,7 @@ class Trainer:
         self.iterate = jax.jit(self._iterate)
         self.iterate_seeds = jax.jit(self._iterate_seeds)
 
-    def init(self, seed=None):
+    def init(self, seed: int | None = None) -> TrainState:
         """The TrainState of `seed` (default: the config's) before the first iteration."""
         seed = self.config.seed if seed is None else seed
         key, key_parameters, key_walk = jax.random.split(jax.random.key(seed), 3)
@@ -225,13 +229,13 @@ class Trainer:
         zero = jnp.zeros((), jnp.int32)
         return TrainState(parameters, self.optimizer.init(parameters), meta, walk, _figures(walk), key, zero)
 
-    def init_seeds(self, seeds):
+    def init_seeds(self, seeds: Iterable[int]) -> TrainState:
         """The TrainStates of `seeds`, stacked."""
         states = [self.init(seed) for seed in seeds]
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
         return self._spread_jitted(stacked._replace(iteration=states[0].iteration))
 
-    def seed_state(self, states, index):
+    def seed_state(self, states: TrainState, index: int) -> TrainState:
         """The TrainState at `index` of stacked ones."""
         one = jax.tree.map(lambda leaf: leaf[index], states._replace(iteration=None))
         return one._replace(iteration=states.iteration)
@@ -242,12 +246,13 @@ class Trainer:
 
     def _spread(self, states):
         """Stacked TrainStates, each seed or, where they don't divide, each seed's worlds on a device of their own."""
-        if self._mesh is None:
+        mesh = self._mesh
+        if mesh is None:
             return states
-        seeds, devices = len(states.walk.lcf), self._mesh.size
+        seeds, devices = len(states.walk.lcf), mesh.size
 
         def laid(tree, *axes):
-            sharding = jax.sharding.NamedSharding(self._mesh, jax.sharding.PartitionSpec(*axes))
+            sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes))
             return jax.tree.map(lambda leaf: jax.lax.with_sharding_constraint(leaf, sharding), tree)
 
         if seeds % devices == 0:
@@ -256,7 +261,7 @@ class Trainer:
             raise ValueError(f"Neither {seeds} seeds nor {self.config.nworld} worlds divide among {devices} devices.")
         return laid(states._replace(walk=None))._replace(walk=laid(states.walk, None, "device"))
 
-    def policy(self, state, recipe):
+    def policy(self, state: TrainState, recipe: dict[str, Any]) -> Policy:
         """The Policy of a TrainState."""
         layers = tuple((np.asarray(w), np.asarray(b)) for w, b in state.parameters["policy"]["layers"])
         return Policy(layers, recipe)
@@ -408,16 +413,24 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
-def seeds_of(config, seeds):
+def seeds_of(config: TrainConfig, seeds: int) -> list[TrainConfig]:
     """`config` with its seed and those that follow, `seeds` in all."""
     return [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
 
 
-def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, tensorboard=False):
+def train(
+    config: TrainConfig,
+    out: str | os.PathLike[str],
+    seeds: int = 1,
+    resume: bool = False,
+    show: Callable[[str], object] = print,
+    minutes_between_checkpoints: float = 2.0,
+    tensorboard: bool = False,
+) -> list[Policy]:
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
-    Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a checkpoint of all in
-    the first seed's. Several devices share the work, with an engine that can (MJX).
+    Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a
+    checkpoint of all in the first seed's. Several devices share the work, with an engine that can (MJX).
 
     tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
     resume: goes on from the checkpoint, if there is one, exactly where it stopped, and one seed after the other where
@@ -425,9 +438,10 @@ def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkp
     another configuration's or another process trains there,
     FloatingPointError if the training diverges.
 
-    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over a
-    batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
-    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of two.
+    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over
+    a batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
+    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of
+    two.
     """
     configs = seeds_of(config, seeds)
     paths = [pathlib.Path(out) / folder_of(each) for each in configs]
@@ -450,11 +464,17 @@ def _begun_apart(paths):
     return saved is not None and len(saved[1]["configs"]) == 1
 
 
-def train_apart(executor, configs, out, resume=False, show=print):
+def train_apart(
+    executor: Executor,
+    configs: Iterable[TrainConfig],
+    out: str | os.PathLike[str],
+    resume: bool = False,
+    show: Callable[[str], object] = print,
+) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers; returns their folders.
 
-    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at once, as
-    one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
+    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at
+    once, as one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
     """
     groups, left = [], list(configs)
     while left:
@@ -464,13 +484,16 @@ def train_apart(executor, configs, out, resume=False, show=print):
         group = [each for each in left if plain(each) in together]
         if len(group) < len(together):
             raise UsageError(
-                f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: go on "
-                "with all of them, or use another --out."
+                f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: "
+                "go on with all of them, or use another --out."
             )
         group = group or [first]  # of another configuration, which the training itself refuses
         groups.append(Group(_train_here, tuple(group)))
         left = [each for each in left if each not in group]
-    told = lambda config, line: show(f"{folder_of(config)}: {line}")
+
+    def told(config, line):
+        show(f"{folder_of(config)}: {line}")
+
     return train_groups(executor, groups, out, resume, told, is_done)
 
 
@@ -479,7 +502,7 @@ def _train_here(configs, out, show):
     train(configs[0], out, len(configs), resume=True, show=show)
 
 
-def is_done(config, folder):
+def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     """Whether the training `config` has its policy, to the last step, in `folder`."""
     try:
         recipe = load_policy(str(folder / "policy.npz")).recipe
@@ -542,7 +565,8 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
                 last_show = now
                 figures = "  ".join(f"{name} {value.mean():.3g}" for name, value in logs.items())
                 show(
-                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  {seeds * steps / spent:,.0f} agent-steps/s  {figures}"
+                    f"{steps / 1e6:7.2f}M of {config.agent_steps / 1e6:.0f}M  "
+                    f"{seeds * steps / spent:,.0f} agent-steps/s  {figures}"
                 )
             if now - last_save > 60 * minutes_between_checkpoints:
                 last_save = now
@@ -586,7 +610,8 @@ def _restored(found, noted, path, configs, like):
     try:
         check_arrays(found, wanted)
         states = jax.tree.unflatten(
-            jax.tree.structure(like), [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like))]
+            jax.tree.structure(like),
+            [_restore(found[name], leaf) for name, leaf in zip(wanted, jax.tree.leaves(like), strict=True)],
         )
         done = {len(curve) for curve in noted["curves"]} | {int(states.iteration)}
         if len(noted["curves"]) != len(configs) or len(done) != 1:

@@ -9,7 +9,7 @@ Names and files are checked without JAX, which the models are made of and which 
 import importlib
 import inspect
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from macid.files import UsageError
 from macid.policy import load_policy, policy_names
@@ -44,11 +44,11 @@ MODELS = {
 }
 
 
-def _learned(name):
+def _learned(name: str) -> Callable[[float], Controller]:
     """Makes the learned model `name`, which is shipped or a file (.npz)."""
     policy = load_policy(name)
 
-    def make(period):
+    def make(period: float) -> Controller:
         from macid.pedestrians.learned import Learned
 
         return Learned(policy, period)
@@ -56,7 +56,7 @@ def _learned(name):
     return make
 
 
-def _own(found, name):
+def _own(found: Any, name: str) -> Callable[[float], Controller]:
     """Makes somebody's own model: a class or function that is called with `period=`, or a controller itself."""
     if not callable(found):
         raise UsageError(f"Pedestrian model '{name}' is not callable. {PEDESTRIANS.help}")
@@ -65,9 +65,10 @@ def _own(found, name):
     except ValueError:  # of compiled code
         takes_period = False
 
-    def make(period):
+    def make(period: float) -> Controller:
         with PEDESTRIANS.running(name, "making one"):
-            return found(period=period) if takes_period else found() if inspect.isclass(found) else found
+            made = found(period=period) if takes_period else found() if inspect.isclass(found) else found
+        return cast(Controller, made)
 
     return make
 

@@ -8,7 +8,7 @@ import numpy as np
 SLOW = 2.0  # where something is nearer than this, it slows down [m]
 
 
-class agent:  # noqa: N801  (the name that is looked for)
+class agent:
     """Made once a world, with the Setting in which it is to drive (bson.agents.Setting)."""
 
     track, sensor = "local", "lidar2d"

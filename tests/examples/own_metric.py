@@ -7,7 +7,7 @@ import numpy as np
 
 
 def waiting(episode):
-    """time below 0.1 m/s with a person nearer than 1.2 m, surface to surface"""  # noqa: D400, D403
+    """time below 0.1 m/s with a person nearer than 1.2 m, surface to surface"""
     still = np.abs(episode.velocity[:, 0]) < 0.1
     return float((still & (episode.nearest_person < 1.2)).sum() * episode.period)
 

@@ -1,4 +1,5 @@
-"""A planner of one's own: one step aside at most. In Python: bson.planners.plan("own_planner.py:aside", grid, start, goal)."""
+"""A planner of one's own: one step aside at most. In Python: bson.planners.plan("own_planner.py:aside", grid, start,
+goal)."""
 
 import numpy as np
 

@@ -93,6 +93,11 @@ def test_a_long_path_keeps_its_end_and_a_long_value_its_beginning():
 
 def test_what_is_no_file_is_told(tmp_path):
     (tmp_path / "large").write_bytes(bytes(11))
-    for name, told in (("large", "11 bytes; at most 10"), ("none", "no thing file"), ("", "no regular file"), ("\0", "thing")):
+    for name, told in (
+        ("large", "11 bytes; at most 10"),
+        ("none", "no thing file"),
+        ("", "no regular file"),
+        ("\0", "thing"),
+    ):
         with pytest.raises(UsageError, match=told):
             read_bytes(tmp_path / name, "thing", 10)

@@ -1,4 +1,5 @@
-"""Colours of LCFs; and what the user is told where nothing can be drawn. (Films themselves: test_watch, bson's test_film.)"""
+"""Colours of LCFs; and what the user is told where nothing can be drawn. (Films themselves: test_watch, bson's
+test_film.)"""
 
 import contextlib
 import os
@@ -29,7 +30,8 @@ def test_lcf_colours_run_from_red_over_light_to_blue():
 )
 def test_without_gl_the_import_works_and_the_message_says_how_to_mend_it(environment, before, says):
     code = (
-        f"{before}\nfrom macid import drawing\nimport sys\nassert 'cv2' not in sys.modules\nprint(drawing.gl_problem())\n"
+        f"{before}\nfrom macid import drawing\nimport sys\nassert 'cv2' not in sys.modules\n"
+        "print(drawing.gl_problem())\n"
         "try:\n    drawing.gl_context(8, 8)\nexcept drawing.Unavailable: print('raised')"
     )
     done = subprocess.run(

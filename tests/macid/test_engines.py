@@ -286,9 +286,10 @@ def test_warp_trains_several_seeds_at_once_and_goes_on_where_it_stopped(tmp_path
             raise KeyboardInterrupt
         return fetch(logs)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr(jax, "device_get", interrupted)
-        train(config, tmp_path / "parts", seeds=2, **quiet)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path / "parts", seeds=2, **quiet)
     lines = []
     parts = train(config, tmp_path / "parts", seeds=2, resume=True, show=lines.append)
     assert lines[0] == "resumed at iteration 2 of 4"

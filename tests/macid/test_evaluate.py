@@ -89,7 +89,8 @@ def test_an_episode_in_which_physics_failed_is_not_scored(monkeypatch, engine, t
     told = format_table([sane, row]).splitlines()
     assert told[-1].startswith("not scored, as physics failed: episode 0 of mad on Lv.1: ") and len(told) == 4
     monkeypatch.setitem(MODELS, "mad", functools.partial(Mad, worlds=3))
-    with pytest.raises(ValueError, match="nothing to score: physics failed in all episodes of 'mad' on Lv.1. Episode 0: "):
+    told = "nothing to score: physics failed in all episodes of 'mad' on Lv.1. Episode 0: "
+    with pytest.raises(ValueError, match=told):
         evaluate_level("mad", 1, episodes=3, config=short, engine=engine)
     if engine == "native":
         with pytest.raises(ValueError, match="Physics failed in the episode of seed 3: .* Choose another --seed"):

@@ -97,9 +97,11 @@ def odd(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["fifo", "folder", "to-fifo", "nowhere", "circle", "file/a", "/dev/null", "/dev/full", "/proc/a", "é" * 200, "a\0b", "\ud800"]
-    + ["new/" + 300 * "x", f"new/{300 * 'x'}/a", "nowhere/a", ""],
-)  # fmt: skip
+    [
+        *("fifo", "folder", "to-fifo", "nowhere", "circle", "file/a", "/dev/null", "/dev/full", "/proc/a"),
+        *("é" * 200, "a\0b", "\ud800", "new/" + 300 * "x", f"new/{300 * 'x'}/a", "nowhere/a", ""),
+    ],
+)
 def test_what_is_no_regular_file_is_refused_and_stays_as_it_is(odd, name):
     before, device = sorted(os.listdir(odd)), os.stat("/dev/null").st_mode
     with pytest.raises(UsageError, match="^Can't write") as caught:
@@ -110,7 +112,9 @@ def test_what_is_no_regular_file_is_refused_and_stays_as_it_is(odd, name):
     assert sorted(os.listdir(odd)) == before and os.stat("/dev/null").st_mode == device
 
 
-@pytest.mark.parametrize("name", ["fifo", "file", "nowhere", "circle", "file/a", "/proc/a/b", 300 * "x", f"new/{300 * 'x'}/a"])
+@pytest.mark.parametrize(
+    "name", ["fifo", "file", "nowhere", "circle", "file/a", "/proc/a/b", 300 * "x", f"new/{300 * 'x'}/a"]
+)
 def test_a_folder_that_cannot_be_made_is_refused_and_nothing_is_made(odd, name):
     before = sorted(os.listdir(odd))
     for check in (check_folder, output_folder):
@@ -121,7 +125,8 @@ def test_a_folder_that_cannot_be_made_is_refused_and_nothing_is_made(odd, name):
 
 def run(code, *arguments, **options):
     """A process that runs Python code."""
-    return subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=subprocess.PIPE, text=True, **options)
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True, **options)
 
 
 NOBODY = """import os, pathlib, sys
@@ -155,10 +160,14 @@ def test_a_protected_file_or_folder_is_refused(tmp_path):
 
 def test_a_folder_that_went_is_named_and_not_a_temporary_file(tmp_path):
     (tmp_path / "out").mkdir()
-    with pytest.raises(OSError, match=f"Can't write '{tmp_path}/out/a.json': there is no folder '{tmp_path}/out'"):
+
+    def loses_its_folder():
         with new_file(tmp_path / "out" / "a.json") as (_, temporary):
             temporary.unlink()
             (tmp_path / "out").rmdir()
+
+    with pytest.raises(OSError, match=f"Can't write '{tmp_path}/out/a.json': there is no folder '{tmp_path}/out'"):
+        loses_its_folder()
     with pytest.raises(UsageError, match=f"there is no folder '{tmp_path}/out'"):
         write_bytes(tmp_path / "out" / "a.json", b"")
 
@@ -291,10 +300,15 @@ def test_a_whole_folder_is_there_at_the_end_or_not_at_all(tmp_path, there):
     if there:
         path.mkdir(parents=True)
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(ZeroDivisionError), whole_folder(path) as folder:
-        (folder / "half").touch()
-        assert not path.exists() or not os.listdir(path)
-        1 / 0  # noqa: B018
+
+    def fails_half_way():
+        with whole_folder(path) as folder:
+            (folder / "half").touch()
+            assert not path.exists() or not os.listdir(path)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fails_half_way()
     assert sorted(tmp_path.rglob("*")) == before
     with whole_folder(path) as folder:
         (folder / "below").mkdir()
@@ -308,7 +322,9 @@ def test_a_whole_folder_is_there_at_the_end_or_not_at_all(tmp_path, there):
 def test_a_whole_folder_s_next_writer_removes_what_a_killed_one_left_of_it(tmp_path):
     code = (
         "import os, sys, signal; from macid.files import whole_folder\n"
-        "with whole_folder(sys.argv[1]) as folder:\n    (folder / 'half').touch()\n    os.kill(os.getpid(), signal.SIGKILL)"
+        "with whole_folder(sys.argv[1]) as folder:\n"
+        "    (folder / 'half').touch()\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)"
     )
     assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")]).returncode == -signal.SIGKILL
     assert len(os.listdir(tmp_path)) == 1

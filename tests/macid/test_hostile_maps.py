@@ -4,12 +4,12 @@ import pathlib
 import tempfile
 
 import cv2
+import hostile
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import hostile
 from macid.maps import load_map
 
 LAYOUT = """name = "small"

@@ -166,7 +166,7 @@ def test_bad_densities_name_the_range(density):
         ("size = 9.0\nwalls = [3]", r"walls\[0\]': it must be a list, not 3 \(a list of rows x0, y0, x1, y1"),
         ("size = 9.0\nwalls = ['1234']", r"walls\[0\]': it must be a list, not '1234' \(a list of rows x0, y0, x1, y1"),
         ("size = 9.0\nwalls = [[0, 0, 1, nan]]", r"walls\[0\]\[3\]': a number .*, not nan"),
-        ("size = 9.0\nregions = 3", "'regions': it must be a table of robot_start, .* each a list of rows x, y, half_x"),
+        ("size = 9.0\nregions = 3", "'regions': it must be a table of robot_start, .* a list of rows x, y, half_x"),
         ("size = 9.0\nregions = ['robot_goal']", "'regions': it must be a table"),
         ("size = 9.0\nregions = {robot_goal = 3}", "'regions.robot_goal': it must be a list of rows x"),
         ("size = 9.0\nregions = {robot_goal = [[1, 2]]}", "region robot_goal must be finite rows x"),
@@ -217,7 +217,7 @@ def test_an_unknown_level_names_the_levels(level):
 def test_a_layout_is_frozen():
     rows = np.array([[0.0, 0.0, 1.0, 1.0, 0.0]])
     layout = Layout(20.0, rows)
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="read-only"):
         layout.obstacles[0, 0] = 3.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         layout.size = 3.0

@@ -70,7 +70,8 @@ def test_coordinated_advantage_is_eq_2_standardised():
         (methods.linear, own + lcf * others),
         (methods.trigonometric, jnp.cos(lcf) * own + jnp.sin(lcf) * others),
     ):
-        np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination, False), expected, atol=1e-6)
+        plain = ppo.coordinated_advantage(own, others, lcf, coordination, False)
+        np.testing.assert_allclose(plain, expected, atol=1e-6)
         expected = (expected - expected.mean()) / expected.std()
         np.testing.assert_allclose(ppo.coordinated_advantage(own, others, lcf, coordination), expected, atol=1e-5)
 
@@ -292,8 +293,8 @@ def test_new_goals_are_free_and_at_a_fitting_distance():
 
 
 def test_the_papers_preset_is_the_papers():
-    """Secs. III-C and IV-C: constant rate, T = 1000 and an update after each of M = 1000 episodes, Lv.2; nothing is scaled,
-    clipped (but for eq. 3's ratio) or standardised."""
+    """Secs. III-C and IV-C: constant rate, T = 1000 and an update after each of M = 1000 episodes, Lv.2; nothing is
+    scaled, clipped (but for eq. 3's ratio) or standardised."""
     paper = preset("paper")
     given = paper.ppo
     assert (given.learning_rate, given.final_learning_rate, given.clip, given.gamma, given.lam) == (

@@ -1,3 +1,5 @@
+import itertools
+
 import cv2
 import numpy as np
 import pytest
@@ -97,7 +99,7 @@ def test_on_the_shipped_maps_every_goal_is_reached(name):
         for goal in layout.regions["robot_goal"]:
             Router(layout).path(start[:2], goal[:2])
     for route in layout.routes:
-        for start, end in zip(route[:-1], route[1:], strict=True):
+        for start, end in itertools.pairwise(route):
             Router(layout).path(start, end)
 
 

@@ -99,7 +99,7 @@ def test_turning_and_shifting_the_whole_scene_changes_nothing(angle):
     state, boxes, goals, _ = crowd_scene(1)
 
     def moved(points):
-        return rotate(points, np.full(points.shape[:-1], angle)) + [3.0, -7.0]
+        return rotate(points, np.full(points.shape[:-1], angle)) + np.array([3.0, -7.0])
 
     turned_boxes = np.concatenate([moved(boxes[:, :2]), boxes[:, 2:4], boxes[:, 4:] + angle], axis=-1)
     turned = state._replace(

@@ -127,7 +127,8 @@ def all_arrive(cases, period, seconds):
 
 
 def test_antipodal_rings_resolve():
-    all_arrive([(3, 3.0, 0.0), (5, 3.0, 0.4), (12, 8.0, 0.0), (16, 8.0, 1.0), (20, 8.0, 0.0), (20, 10.0, 0.0)], 0.02, 45)
+    rings = [(3, 3.0, 0.0), (5, 3.0, 0.4), (12, 8.0, 0.0), (16, 8.0, 1.0), (20, 8.0, 0.0), (20, 10.0, 0.0)]
+    all_arrive(rings, 0.02, 45)
 
 
 @pytest.mark.slow

@@ -8,15 +8,15 @@ import pytest
 
 pytest.importorskip("pettingzoo")
 
-from pettingzoo.test import parallel_api_test, parallel_seed_test  # noqa: E402
+from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from macid import watch  # noqa: E402
-from macid.crowd import Crowd, CrowdConfig  # noqa: E402
-from macid.layout import Layout, load_level  # noqa: E402
-from macid.parallel_env import CrowdParallelEnv  # noqa: E402
-from macid.pedestrians.learned import Learned  # noqa: E402
-from macid.policy import load_policy  # noqa: E402
-from macid.reward import RewardWeights  # noqa: E402
+from macid import watch
+from macid.crowd import Crowd, CrowdConfig
+from macid.layout import Layout, load_level
+from macid.parallel_env import CrowdParallelEnv
+from macid.pedestrians.learned import Learned
+from macid.policy import load_policy
+from macid.reward import RewardWeights
 
 NEAR = CrowdConfig(period=0.1, duration=4.0, goal_distance=(1.0, 5.0))
 ROOM = Layout(12.0, [[0.0, 0.0, 0.5, 0.5, 0.3]], name="room")
@@ -69,7 +69,7 @@ def test_observations_stay_in_their_space_and_last_ones_are_from_the_goal(env, c
             actions = {agent: env.action_space(agent).sample() for agent in env.agents}
         else:
             actions = towards_goals(observations)
-        observations, rewards, terminations, truncations, infos = env.step(actions)
+        observations, _, terminations, truncations, _ = env.step(actions)
         for agent, seen in observations.items():
             assert env.observation_space(agent).contains(seen)
             assert (np.hypot(*seen[:2]) <= 0.5) == terminations[agent]

@@ -1,3 +1,4 @@
+import itertools
 import json
 import re
 
@@ -15,7 +16,7 @@ def make(seed=0):
     sizes = (policy.FEATURES + 1, *policy.HIDDEN, policy.ACTIONS)
     layers = tuple(
         (rng.normal(0, 0.3, (a, b)).astype(np.float32), rng.normal(0, 0.1, b).astype(np.float32))
-        for a, b in zip(sizes[:-1], sizes[1:], strict=True)
+        for a, b in itertools.pairwise(sizes)
     )
     return policy.Policy(layers, {"method": "macid", "period": 0.02})
 
@@ -234,7 +235,7 @@ def test_a_policy_that_sees_the_numbers_as_they_are_is_the_same_in_all_three():
     sizes = (observation.SIZE + 1, 8, policy.ACTIONS)
     layers = [
         (rng.normal(0, 0.1, pair).astype(np.float32), np.zeros(pair[1], np.float32))
-        for pair in zip(sizes[:-1], sizes[1:], strict=True)
+        for pair in itertools.pairwise(sizes)
     ]
     made, (seen, lcf) = policy.Policy(tuple(layers), {"inputs": "observation"}), observations(20)
     seen[:, 5] = np.inf

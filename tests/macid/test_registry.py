@@ -1,4 +1,5 @@
-"""Every kind of name is resolved in one way: a built-in, somebody's own by module or file, a data file; errors name the choices."""
+"""Every kind of name is resolved in one way: a built-in, somebody's own by module or file, a data file; errors name the
+choices."""
 
 import pathlib
 

@@ -19,7 +19,7 @@ def clearances(start, path, boxes):
     """Least distance to a box along each leg (W,) [m], by sampling each centimetre."""
     ends = np.concatenate([start[None], path])
     legs = []
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in itertools.pairwise(ends):
         t = np.linspace(0, 1, 2 + int(100 * np.linalg.norm(b - a)))[:, None]
         legs.append(point_box_distance(a + t * (b - a), boxes).min())
     return np.array(legs)

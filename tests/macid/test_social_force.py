@@ -1,3 +1,4 @@
+import operator
 from dataclasses import replace
 from functools import partial
 
@@ -86,7 +87,7 @@ def test_worlds_of_a_batch_equal_the_same_worlds_alone(model):
     each_boxes = np.stack([boxes, boxes + 0.5])
     shared, own = command_of(model, state, boxes, goals), command_of(model, state, each_boxes, goals)
     for i in range(2):
-        alone = jax.tree.map(lambda a: a[i], state)
+        alone = jax.tree.map(operator.itemgetter(i), state)
         np.testing.assert_allclose(shared[i], command_of(model, alone, boxes, goals[i]), atol=1e-5)
         np.testing.assert_allclose(own[i], command_of(model, alone, each_boxes[i], goals[i]), atol=1e-5)
 
@@ -142,7 +143,8 @@ def test_anothers_step_is_as_long_as_its_speed_makes_it_and_leads_where_it_wants
 
     def push(speed):
         around = 1e-4 * np.eye(2)
-        return np.array([potential(place - other - d, speed) - potential(place - other + d, speed) for d in around]) / 2e-4
+        apart = place - other
+        return np.array([potential(apart - d, speed) - potential(apart + d, speed) for d in around]) / 2e-4
 
     state = crowd([place, other], [(0.0, 0.0), velocity])
     goals = np.array([[0.0, -50.0], [5e6, 0.3]])  # the other one stands in view: the weight is 1

@@ -30,7 +30,8 @@ COMMANDS = {
 
 
 def used(pid):
-    """Seconds of CPU time of a process so far; None once it has ended. Delays by it don't depend on the machine's load."""
+    """Seconds of CPU time of a process so far; None once it has ended. Delays by it don't depend on the machine's
+    load."""
     try:
         fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -39,8 +40,8 @@ def used(pid):
 
 
 def interrupt(command, delay, folder):
-    """Runs a command's process, sends it one SIGINT after `delay` [s of its CPU time]; its exit code and stderr, or None if it
-    had ended by then."""
+    """Runs a command's process, sends it one SIGINT after `delay` [s of its CPU time]; its exit code and stderr, or
+    None if it had ended by then."""
     program = command.split()[0]
     code = f"import sys; from macid.start import {program}; sys.argv[0] = {program!r}; sys.exit({program}())"
     words = [sys.executable, "-c", code, *COMMANDS[command]]
@@ -100,9 +101,8 @@ def interrupt_myself():
 
 def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_not():
     before, kept = signal.getsignal(signal.SIGINT), False
-    with start.deferred(lambda: kept) as interrupted:
-        with pytest.raises(KeyboardInterrupt):
-            interrupt_myself()
+    with start.deferred(lambda: kept) as interrupted, pytest.raises(KeyboardInterrupt):
+        interrupt_myself()
     with start.deferred(lambda: kept) as interrupted:
         kept = True
         assert not interrupted()
@@ -114,7 +114,8 @@ def test_deferred_waits_while_there_is_something_to_keep_and_a_second_one_does_n
 
 
 def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypatch):
-    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=PRESETS["fast"]["ppo"])  # 3 iterations
+    fast = PRESETS["fast"]["ppo"]
+    config = TrainConfig(level=1, nworld=1, rollout=4, episode=2, agent_steps=300, ppo=fast)  # 3 iterations
     arrived, fetch = [], jax.device_get
 
     def interrupted(logs):
@@ -123,9 +124,10 @@ def test_a_training_keeps_the_iteration_in_which_ctrl_c_came(tmp_path, monkeypat
             interrupt_myself()
         return fetch(logs)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr(jax, "device_get", interrupted)
-        train(config, tmp_path, show=lambda line: None)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path, show=lambda line: None)
     (rows,) = tmp_path.rglob("curve.csv")
     assert rows.read_text().count("\n") == 3 and len(arrived) == 2  # a header and two iterations
     assert list(tmp_path.rglob("checkpoint*")) and not list(tmp_path.rglob("policy*"))

@@ -22,8 +22,8 @@ SPEC.loader.exec_module(tables)
 
 @pytest.fixture
 def made_up(tmp_path, monkeypatch):
-    """A folder with macid's seeds 0 and 1, and rows in which SR10 is 10 x level, and 2 more for seed 1; who was evaluated
-    with which LCFs."""
+    """A folder with macid's seeds 0 and 1, and rows in which SR10 is 10 x level, and 2 more for seed 1; who was
+    evaluated with which LCFs."""
     asked = []
 
     def row(pedestrian, level, episodes, config):
@@ -105,9 +105,11 @@ def test_policies_of_another_recipe_are_left_out_and_the_missing_seeds_trained(m
     assert [seed for name, seed in trained if name == "macid"] == list(range(1, tables.SEEDS))
     assert [seed for name, seed in trained if name == "ipo-25hz"] == [0, 1, 2]
     at_once = []
-    monkeypatch.setattr(
-        tables, "train", lambda config, out, seeds, **kwargs: at_once.append((config.name, config.seed, seeds, config.engine))
-    )
+
+    def train(config, out, seeds, **kwargs):
+        at_once.append((config.name, config.seed, seeds, config.engine))
+
+    monkeypatch.setattr(tables, "train", train)
     tables.train_missing(configs, {"ipo": {2: "there"}, **found}, folder, engine="mjx")
     assert [each for each in at_once if each[0] in ("macid", "ipo")] == [
         ("ipo", 0, 2, "mjx"), ("ipo", 3, tables.SEEDS - 3, "mjx"), ("macid", 1, tables.SEEDS - 1, "mjx"),

@@ -57,7 +57,8 @@ def test_the_demo_asks_for_a_folder_where_only_the_checkout_cannot_be_written(se
 def test_numbers_of_the_tools_are_bounded(tmp_path):
     code = (
         "import importlib.util, sys\n"
-        "for tool, flags in (('tables', '--seeds --agent-steps --episodes'), ('table3', '--seeds --steps --episodes')):\n"
+        "tools = {'tables': '--seeds --agent-steps --episodes', 'table3': '--seeds --steps --episodes'}\n"
+        "for tool, flags in tools.items():\n"
         f"    spec = importlib.util.spec_from_file_location(tool, {str(ROOT)!r} + f'/tools/reproduce_{{tool}}.py')\n"
         "    module = importlib.util.module_from_spec(spec)\n"
         "    spec.loader.exec_module(module)\n"

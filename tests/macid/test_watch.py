@@ -1,4 +1,5 @@
-"""Films of crowds show what happened: people in their LCF's colour where the map says, until they leave; whole on disk."""
+"""Films of crowds show what happened: people in their LCF's colour where the map says, until they leave; whole on
+disk."""
 
 import dataclasses
 import os
@@ -30,7 +31,7 @@ def recording(lcf=(0.0, -2.0, 2.0, 1.0), leaves=None, steps=100):
     position = np.where(walking[..., None], PLACES, parking_place(np.arange(4)))
     layout = Layout(20.0, [BOX], pedestrians=4)
     collisions = np.zeros((steps + 1, 4), int)
-    goals = PLACES + [0.0, 3.0]
+    goals = PLACES + np.array([0.0, 3.0])
     yaw = np.zeros((steps + 1, 4))
     return watch.Recording(
         "macid", 1, 7, layout, 0.02, (-2.0, 2.0), np.array(lcf), goals, position, yaw, walking, collisions
