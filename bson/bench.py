@@ -5,12 +5,14 @@ import itertools
 import os
 import platform
 import time
+from typing import cast
 
 import numpy as np
 
 from bson import tracks
 from bson.episodes.session import Session
 from bson.evaluate import versions
+from bson.simulation.engines.base import Engine
 from bson.task import TaskConfig
 
 PEOPLE = (24, 50, 100, 200)
@@ -51,7 +53,8 @@ def measure_speed(config, sensors, nworld, seconds=2.0):
     action = np.tile(_ACTION, (nworld, 1))
     for _ in range(5):  # compile and warm up
         session.step(ids, action)
-    watch = session.world.engine = _Stopwatch(session.world.engine)
+    watch = _Stopwatch(session.world.engine)
+    session.world.engine = cast(Engine, watch)
     steps, begin = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - begin) < seconds:
         _, _, terminated, truncated = session.step(ids, action)
@@ -109,7 +112,8 @@ def measure_learning(algo, config, nworld, seconds=20.0):
 
         def __init__(self):
             super().__init__()
-            self.begin = self.elapsed = None
+            self.begin: float | None = None
+            self.elapsed: float | None = None
             self.collecting = self.rounds = 0
 
         def _on_rollout_start(self):
@@ -133,15 +137,14 @@ def measure_learning(algo, config, nworld, seconds=20.0):
     if hasattr(hyperparameters, "learning_starts"):
         hyperparameters = dataclasses.replace(hyperparameters, learning_starts=nworld)
     env = FeatureVecEnv(nworld, seed=0, **config)
-    watch = env.world.engine = _Stopwatch(env.world.engine)
+    watch = _Stopwatch(env.world.engine)
+    env.world.engine = cast(Engine, watch)
     timer = Timer()
     with one_thread():
         hyperparameters.build(env, seed=0).learn(10**12, callback=timer, log_interval=None)
-    return (
-        (timer.steps - timer.first) / timer.elapsed,
-        1.0 - timer.collecting / timer.elapsed,
-        watch.seconds / timer.elapsed,
-    )
+    elapsed = timer.elapsed
+    assert elapsed is not None  # learning ends once it is known
+    return (timer.steps - timer.first) / elapsed, 1.0 - timer.collecting / elapsed, watch.seconds / elapsed
 
 
 def run_learning(algos=LEARNERS, people=(24,), batches=(16,), seconds=20.0, model="macid", show=print):

@@ -97,7 +97,7 @@ def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=
     drawn = time.perf_counter()
     *_, (learner, stream, _) = trainer.run(learner, stream, 2)
     compiled = time.perf_counter()
-    updates, trainer.worlds.pool.waited = 0, 0.0
+    updates, figures, trainer.worlds.pool.waited = 0, {}, 0.0
     while (elapsed := time.perf_counter() - compiled) < seconds:
         *_, (learner, stream, figures) = trainer.run(learner, stream, 4)
         jax.block_until_ready(learner)

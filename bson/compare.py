@@ -132,7 +132,9 @@ def compare(runs):
         raise ValueError("Name at least two results to compare.")
     check_comparable(runs)
     keys, names, first = _shared(runs), labels(runs), runs[0].content
-    metrics = [m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])]
+    metrics = [
+        m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])
+    ]
     cells = []
     for cell in first["cells"] if len(first["cells"]) > 1 else ():
         if within := [key for key in keys if key[0] == cell["name"]]:

@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from typing import Any
 
 import dm_env
 import mujoco
@@ -17,8 +18,8 @@ from macid.drawing import close_before_all_else
 
 
 def _import_dm_control():
-    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL is
-    missing, without pictures. (It would try GLFW first, which needs a display.)"""
+    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL
+    is missing, without pictures. (It would try GLFW first, which needs a display.)"""
 
     def wanted():
         from dm_control.mujoco import Physics
@@ -67,6 +68,7 @@ class Environment(Rebuilt, dm_env.Environment):
         self._make_physics()
 
     _not_copied = ("physics",)
+    physics: Any  #: dm_control's Physics; None once closed
 
     def _make_physics(self):
         self.physics = Physics.from_model(MjModel(self.world.scene))
@@ -114,12 +116,12 @@ class Environment(Rebuilt, dm_env.Environment):
         end = dm_env.termination if terminated[0] else dm_env.truncation if truncated[0] else dm_env.transition
         return end(float(reward[0]), first(observation))
 
-    def observation_spec(self):
+    def observation_spec(self) -> Any:
         """A dict of BoundedArrays."""
         spaces = self._track.space(self._session.config).spaces
         return {name: _spec(space, name) for name, space in spaces.items()}
 
-    def action_spec(self):
+    def action_spec(self) -> Any:
         """(2,) in [-1, 1]: shares of top speed and top yaw rate."""
         return _spec(ACTION_SPACE, "action")
 

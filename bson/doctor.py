@@ -24,7 +24,7 @@ def _versions():
 
 
 def _python():
-    if sys.version_info < (3, 11):
+    if tuple(map(int, platform.python_version_tuple()[:2])) < (3, 11):
         raise RuntimeError(f"Python {platform.python_version()} is too old: use 3.11 or newer")
     return platform.python_version()
 
@@ -38,8 +38,8 @@ def _name():
 def _namesakes():
     if others := start.others():
         raise RuntimeError(
-            f"{' and '.join(others)} also installs a package bson. One of the two is broken, and uninstalling it deletes "
-            "a file of ours"
+            f"{' and '.join(others)} also installs a package bson. One of the two is broken, and uninstalling it "
+            "deletes a file of ours"
         )
     return "no other package of the name bson"
 
@@ -103,7 +103,8 @@ def _trial():
 
 
 def _read(cameras):
-    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be right."""
+    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be
+    right."""
     import numpy as np
 
     from bson.sensors import Camera

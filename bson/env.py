@@ -2,9 +2,11 @@
 
 import copy
 import dataclasses
+from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from bson.episodes.record import Recorder
@@ -16,6 +18,7 @@ from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
+_VECTOR_METADATA = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
 
 def _check_render_mode(render_mode):
@@ -76,7 +79,7 @@ def frames_per_second(config):
 
 def _document(value):
     """`value`, an argument of `make`, as JSON has it; what comes of it is taken for the same argument."""
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):
         return {name: _document(each) for name, each in value.items()}
@@ -90,10 +93,11 @@ def _rebuilt(kind, arguments):
 
 
 class Rebuilt:
-    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play on
-    equally; what it draws with is left out."""
+    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play
+    on equally; what it draws with is left out."""
 
-    _not_copied = ()
+    _arguments: dict[str, Any]
+    _not_copied: tuple[str, ...] = ()
 
     def __reduce__(self):
         return _rebuilt, (type(self), self._arguments), {"_spec": getattr(self, "_spec", None)}
@@ -108,15 +112,13 @@ class Rebuilt:
 class Specified(Rebuilt):
     """Gymnasium's spec of an environment, with arguments that JSON can have."""
 
-    _spec = None
+    _spec: EnvSpec | None = None
 
-    @property
-    def spec(self):
+    def _told_spec(self):
         """The EnvSpec that it was made by, or None."""
         return self._spec
 
-    @spec.setter
-    def spec(self, spec):
+    def _note_spec(self, spec):
         if spec is not None:
             kwargs = {name: _document(value) for name, value in spec.kwargs.items() if name != "sensor"}
             if "sensor" in spec.kwargs:
@@ -124,6 +126,8 @@ class Specified(Rebuilt):
             spec = copy.copy(spec)
             spec.kwargs = kwargs
         self._spec = spec
+
+    spec: Any = property(_told_spec, _note_spec)  # Gymnasium has an attribute in its place
 
 
 class BsonEnv(Specified, gymnasium.Env):
@@ -145,8 +149,8 @@ class BsonEnv(Specified, gymnasium.Env):
     | goal | (2,) | position of the goal | robot, m |
     | velocity | (2,) | speed ahead, yaw rate | robot, m/s and rad/s |
     | imu | (6,) | specific force x, y, z; angular velocity x, y, z | robot, m/s2 and rad/s |
-    | lidar | (720,) | (Lidar2D) distances from -135 degrees (right) to +135 (left); 30 m where nothing is hit | robot, m |
-    | lidar3d | (16, 360) | (Lidar3D) distances, rows from -15 to +15 degrees, columns from behind over right, ahead, left; 100 m where nothing is hit | robot, m |
+    | lidar | (720,) | (Lidar2D) distances, -135 degrees (right) to +135 (left); at most 30 m | robot, m |
+    | lidar3d | (16, 360) | (Lidar3D) rows -15 to +15 degrees, columns from behind over right; up to 100 m | robot, m |
     | rgb | (120, 160, 3) | (Camera) uint8, the view ahead | - |
     | depth | (120, 160) | (Camera) distance along the camera's axis, 0.3 to 10 m | camera, m |
 
@@ -180,7 +184,7 @@ class BsonEnv(Specified, gymnasium.Env):
     | travelled | - | way driven | m |
     | collisions | - | steps in which the robot touched anything | steps of 0.02 s |
     | collisions_person | - | steps in which it touched a person | steps of 0.02 s |
-    | collisions_robot_on_person | - | of those: steps in which it moved towards a person that it touched, at more than 0.05 m/s | steps of 0.02 s |
+    | collisions_robot_on_person | - | of those: it moved towards the person at more than 0.05 m/s | steps of 0.02 s |
     | collisions_obstacle | - | steps in which it touched an obstacle | steps of 0.02 s |
     | collisions_wall | - | steps in which it touched an outer wall | steps of 0.02 s |
     | nearest_person | - | to the nearest person, surface to surface; infinity without any | m |
@@ -210,7 +214,8 @@ class BsonEnv(Specified, gymnasium.Env):
         self._track = make_track(track, sensor)
         self._session = Session(self.config, self._track, seeds=[seed])
         self._first_seed = seed
-        self._film = self._recorder = None
+        self._film = None
+        self._recorder: Recorder | None = None
         self.observation_space = self._track.space(self.config)
         self.action_space = ACTION_SPACE
 
@@ -243,6 +248,7 @@ class BsonEnv(Specified, gymnasium.Env):
         action = checked_action(action, (2,))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         if self.render_mode is not None:
+            assert self._recorder is not None  # since the reset
             self._recorder.snap()
         return first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
@@ -276,12 +282,12 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec` gives
-    bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec`
+    gives bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
     `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
-    metadata = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = _VECTOR_METADATA
 
     def __init__(
         self,
@@ -359,7 +365,8 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         return self._session.observe(self._all), self._infos(self._all)
 
     def step(self, actions):
-        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next instead."""
+        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next
+        instead."""
         actions = checked_action(actions, (self.num_envs, 2))
         reward = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)

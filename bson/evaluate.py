@@ -63,13 +63,15 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
     """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
-    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called as
-    by `run_episodes`.
+    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called
+    as by `run_episodes`.
     """
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]
     todo.sort(key=lambda number: -len(episodes[number].pose))
-    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False) if todo else None
+    if not todo:
+        return paired
+    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False)
     for first in range(0, len(todo), batch):
         numbers = todo[first : first + batch]
         ids, rows = np.arange(len(numbers)), np.array([len(episodes[number].pose) for number in numbers])
@@ -94,10 +96,10 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
 def results(agent, suite, cells, played, own=(), **more):
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
-    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a metric is finite; counts: how
-    many these are; metrics: what each is; cells: a summary of each; config, people: the first cell's; faults: the
-    episodes in which physics failed, with the last time [s] at which it had not: these are counted nowhere else. Raises
-    ValueError where no other is left.
+    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a
+    metric is finite; counts: how many these are; metrics: what each is; cells: a summary of each; config, people: the
+    first cell's; faults: the episodes in which physics failed, with the last time [s] at which it had not: these are
+    counted nowhere else. Raises ValueError where no other is left.
     """
     faults = [
         {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
@@ -148,8 +150,8 @@ def results(agent, suite, cells, played, own=(), **more):
 
 
 def _each_person(episode):
-    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {} without
-    a pair."""
+    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {}
+    without a pair."""
     people = {
         name: [round(float(value), 4) if math.isfinite(value) else None for value in values]
         for name, values in episode.effects.items()

@@ -3,6 +3,7 @@
 Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl_problem()` says what is missing.
 """
 
+import itertools
 import math
 
 import mujoco
@@ -86,7 +87,7 @@ class Film(drawing.Stage):
         stride = max(1, round(0.4 / episode.period))
         first = max(0, step - round(_TRAIL / episode.period))
         indices = np.unique(np.append(np.arange(step, first, -stride), first))
-        for age, (i, j) in enumerate(zip(indices[:-1], indices[1:], strict=True)):
+        for age, (i, j) in enumerate(itertools.pairwise(indices)):
             alpha = 0.75 * (age + 1) / len(indices)
             for a, b, rgb in zip(episode.people[i], episode.people[j], lcf_colour(episode.lcf), strict=True):
                 self._ribbon(a[:2], b[:2], 0.8 * width, 0.004, [*(0.75 * rgb), alpha])
@@ -133,7 +134,10 @@ class Film(drawing.Stage):
         """Start, goal, robot, a scale and the north, on the map."""
         left, top, width, height = self.rect(_MAP)
         canvas = np.ascontiguousarray(page[top : top + height, left : left + width])
-        at = lambda place: self.map_pixel(episode, place) - (left, top)
+
+        def at(place):
+            return self.map_pixel(episode, place) - (left, top)
+
         unit = self.scale
         start, goal = at(episode.pose[0, :2]), at(episode.goal)
         metre = width / map_window(episode)[1]
@@ -150,7 +154,7 @@ class Film(drawing.Stage):
         drawing.polygon(canvas, arrow, (255, 200, 20))
         for place, text in ((start, "start"), (goal, "goal")):
             size, _ = drawing.measure(text, 0.44 * unit)
-            spot = place + (9 * unit, -9 * unit)
+            spot = place + np.array([9 * unit, -9 * unit])
             if spot[0] + size > width - 6 * unit:
                 spot[0] = place[0] - 9 * unit - size
             spot[1] = max(spot[1], 40 * unit)

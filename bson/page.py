@@ -6,6 +6,7 @@ What a template is given is text, which it escapes, but for what another templat
 import base64
 import io
 import pathlib
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -71,4 +72,4 @@ _TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.globals["plural"] = plural
-_PARTS = _TEMPLATES.get_template("parts.html").module
+_PARTS: Any = _TEMPLATES.get_template("parts.html").module

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, metrics_of, spread_by_score
@@ -40,7 +41,9 @@ def plot_distribution(values, least):
     axes = figure.subplots()
     values = np.array([value for value in values if value is not None])
     axes.spines[["top", "right"]].set_visible(False)
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    locator = axes.yaxis.get_major_locator()
+    assert isinstance(locator, MaxNLocator)  # of a linear axis
+    locator.set_params(integer=True)
     if not len(values):
         axes.text(0.5, 0.5, "no people", ha="center", va="center", transform=axes.transAxes)
         return figure

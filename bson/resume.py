@@ -31,6 +31,7 @@ from macid.registry import code_file
 _MOST_BASIS = 1 << 28  # bytes of basis.json, which has the settings of every cell
 _SEAL = hashlib.sha256().digest_size  # bytes at the end of an episode's file
 
+
 def _digest(contents):
     """A hash of some bytes. 12 hexadecimal digits."""
     digest = hashlib.sha256()
@@ -46,7 +47,8 @@ def files_digest(basis):
 
 
 def _agent_files(name):
-    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
+    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this
+    package."""
     path = code_file(name) or pathlib.Path(name)
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
@@ -54,7 +56,8 @@ def _agent_files(name):
 def basis(agent, track, cells, paired):
     """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
 
-    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and sensor.
+    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and
+    sensor.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
     policies = [load_policy(name) for name in sorted(filter(is_learned, models))]
@@ -76,8 +79,9 @@ def basis(agent, track, cells, paired):
 class Unfinished:
     """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from.
 
-    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the file: one
-    that was cut short or follows from something else is as if it were not there, so its episode is played anew.
+    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the
+    file: one that was cut short or follows from something else is as if it were not there, so its episode is played
+    anew.
     """
 
     def __init__(self, out, basis, resume):
@@ -145,9 +149,9 @@ def _read_basis(path):
     """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
     try:
         basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
-        problem = None if isinstance(basis, dict) else "it is no object"
+        if isinstance(basis, dict):
+            return basis
+        problem = "it is no object"
     except UsageError as error:
         problem = str(error).rstrip(".")
-    if problem:
-        raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
-    return basis
+    raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")

@@ -1,5 +1,5 @@
-"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that a
-drive description and an MJCF or URDF model tell of.
+"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that
+a drive description and an MJCF or URDF model tell of.
 
 A command is `(v, w)`: speed ahead [m/s] and yaw rate [rad/s], counter-clockwise. A pose is `(x, y, yaw)` in the world
 frame, that of the robot's base: x ahead, y left, z up, its origin the middle of the footprint.
@@ -21,15 +21,17 @@ A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
 | footprint.bottom, .top | that box's height above the ground [m], unless the model has a geom `hull` of its own |
 | mounts.NAME.position, .rpy | a place for a sensor in the base's frame [m], roll, pitch and yaw [rad] if it is turned |
 
-Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a sensor's
-`site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it (masses,
-inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as casters do; people and walls
-touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the Jackal's (robots/jackal.xml).
+Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a
+sensor's `site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it
+(masses, inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as
+casters do; people and walls touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the
+Jackal's (robots/jackal.xml).
 """
 
 import dataclasses
 import functools
 import hashlib
+import math
 import pathlib
 from typing import Annotated, Literal
 from xml.etree import ElementTree
@@ -40,7 +42,7 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
+from macid.documents import check_readable, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
 from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
@@ -81,9 +83,15 @@ def _domain(name):
     return f"a number above 0, from {least:g} to {most:g} {unit}" if least else f"a number from 0 to {most:g} {unit}"
 
 
-def _bounded(name):
+def _whole(name):
+    """The bounds of a whole number, which stays whole."""
     least, most, _ = _BOUNDS[name]
-    return number(_domain(name), ge=least, le=most)
+    return Meta(description=_domain(name), ge=math.ceil(least), le=math.floor(most))
+
+
+def _real(name):
+    least, most, _ = _BOUNDS[name]
+    return Meta(description=_domain(name), ge=least, le=most)
 
 
 _Name = Annotated[str, Meta(min_length=1, max_length=1000, description="a name")]
@@ -100,19 +108,21 @@ class _Drive(msgspec.Struct, forbid_unknown_fields=True):
     kind: Literal["differential", "skid-steer"]
     left: _Wheels
     right: _Wheels
-    max_speed: _bounded("max_speed")
-    max_yaw_rate: _bounded("max_yaw_rate")
-    wheel_radius: _bounded("wheel_radius")
-    track: _bounded("track")
-    rolling_radius: _bounded("rolling_radius") | None = None
-    effective_track: _bounded("effective_track") | None = None
+    max_speed: Annotated[int, _whole("max_speed")] | Annotated[float, _real("max_speed")]
+    max_yaw_rate: Annotated[int, _whole("max_yaw_rate")] | Annotated[float, _real("max_yaw_rate")]
+    wheel_radius: Annotated[int, _whole("wheel_radius")] | Annotated[float, _real("wheel_radius")]
+    track: Annotated[int, _whole("track")] | Annotated[float, _real("track")]
+    rolling_radius: Annotated[int, _whole("rolling_radius")] | Annotated[float, _real("rolling_radius")] | None = None
+    effective_track: Annotated[int, _whole("effective_track")] | Annotated[float, _real("effective_track")] | None = (
+        None
+    )
     gain: _Gain | None = None
     max_torque: _Gain | None = None
 
 
 class _Footprint(msgspec.Struct, forbid_unknown_fields=True):
-    half_length: _bounded("half_length")
-    half_width: _bounded("half_width")
+    half_length: Annotated[int, _whole("half_length")] | Annotated[float, _real("half_length")]
+    half_width: Annotated[int, _whole("half_width")] | Annotated[float, _real("half_width")]
     bottom: _Height | None = None
     top: _Height | None = None
 
@@ -127,7 +137,7 @@ class _Description(msgspec.Struct, forbid_unknown_fields=True):
 
     model: _Name
     base: _Name
-    spawn_height: _bounded("spawn_height")
+    spawn_height: Annotated[int, _whole("spawn_height")] | Annotated[float, _real("spawn_height")]
     drive: _Drive
     footprint: _Footprint
     mounts: Annotated[dict[_Name, _Mount], Meta(max_length=100)] = {}
@@ -156,8 +166,8 @@ class RobotConfig:
                 raise ValueError(f"Robot {shown_path(self.name)}: {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(
-                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m around the "
-                f"footprint; it must be at most {MAX_RADIUS} m."
+                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m "
+                f"around the footprint; it must be at most {MAX_RADIUS} m."
             )
 
     @property
@@ -402,7 +412,9 @@ def _read_robot(name):
 
 
 ROBOTS: Kind["Robot"] = Kind("robot", shipped=robot_names, read=_read_robot, files=(".toml",))
-_EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+_EXPAND = (
+    " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+)
 _CURES = {
     ".xacro": _EXPAND,
     **dict.fromkeys((".urdf", ".xml"), " A model needs a .toml description beside it (docs: bson.robot)."),
@@ -428,8 +440,8 @@ def _model(path, fields):
 
 
 def robot_config(value):
-    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed of
-    the description `name` (of the Jackal's without). Raises ValueError."""
+    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed
+    of the description `name` (of the Jackal's without). Raises ValueError."""
     names = [field.name for field in dataclasses.fields(RobotConfig)]
     if isinstance(value, RobotConfig):
         load_robot(value.name)
@@ -490,9 +502,7 @@ def _load(name, path, changed, _model_changed):
         right=tuple(drive.right),
         motor=None if drive.gain is None else (drive.gain, drive.max_torque),
         height=None if footprint.top is None else (footprint.bottom, footprint.top),
-        mounts=tuple(
-            (mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()
-        ),
+        mounts=tuple((mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()),
         digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
     try:
@@ -504,8 +514,8 @@ def _load(name, path, changed, _model_changed):
 
 
 def _refuse_odd_models(content, folder, depth=0):
-    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no reader
-    or no room for."""
+    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no
+    reader or no room for."""
     if depth > _MOST_INCLUDES:
         raise ValueError(f"its <include>s are nested more than {_MOST_INCLUDES} deep.")
     if b"<xacro:" in content:
@@ -526,8 +536,8 @@ def _refuse_odd_models(content, folder, depth=0):
                 check_readable(file, f"<{element.tag}>", _MOST_ASSET)
         if mesh.lower().endswith(".dae"):
             raise ValueError(
-                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and "
-                "name that in the model."
+                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), "
+                "and name that in the model."
             )
         for key in ("width", "height", "nrow", "ncol", "count"):
             for word in (element.get(key) or "").split()[:3]:
@@ -547,8 +557,8 @@ def _quaternion(rpy):
 
 
 def _forwards(robot):
-    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that can't
-    be built, or whose wheels are not left and right on axles across it."""
+    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that
+    can't be built, or whose wheels are not left and right on axles across it."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()

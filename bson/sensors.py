@@ -15,6 +15,7 @@ It is white: drawn anew for each reading, independent between beams, pixels and 
 """
 
 import dataclasses
+import itertools
 import math
 import numbers
 import zlib
@@ -49,7 +50,7 @@ def _numbers(count, each, rising=False):
             isinstance(value, (tuple, list, np.ndarray))
             and len(value) == count
             and all(each(one) for one in value)
-            and not (rising and any(low >= high for low, high in zip(value[:-1], value[1:], strict=True)))
+            and not (rising and any(low >= high for low, high in itertools.pairwise(value)))
         )
 
     return check
@@ -73,7 +74,9 @@ class Sensor:
         rates = _number(_LEAST_RATE)
         domain = f"None or a frequency above 0 Hz, at least {_LEAST_RATE:g} Hz"
         self._check("rate", lambda value: value is None or rates(value), domain)
-        self._check("noise", _number(0, _MOST_NOISE), f"a number of at least 0 (1: as published), at most {_MOST_NOISE:g}")
+        self._check(
+            "noise", _number(0, _MOST_NOISE), f"a number of at least 0 (1: as published), at most {_MOST_NOISE:g}"
+        )
 
     def _check(self, name, good, domain):
         value = getattr(self, name)
@@ -92,8 +95,9 @@ class Sensor:
         raise NotImplementedError
 
     def export(self, spec, robot="robot"):
-        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for programs
-        without this project. Returns what they must know, as JSON has it; nothing where they can't have its reading."""
+        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for
+        programs without this project. Returns what they must know, as JSON has it; nothing where they can't have its
+        reading."""
         return {}
 
     def bind(self, world, robot="robot"):
@@ -227,7 +231,8 @@ class Ranging(Mounted):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lidar(Ranging):
-    """A scanner: the reading is the distances along its beams, unit vectors. It does not see the body that carries it."""
+    """A scanner: the reading is the distances along its beams, unit vectors. It does not see the body that carries
+    it."""
 
     def mount(self, spec, robot="robot"):
         """Adds the site from which the beams go out."""
@@ -390,7 +395,8 @@ class Camera(Mounted):
         )
 
     def export(self, spec, robot="robot"):
-        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without shadows."""
+        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without
+        shadows."""
         return {"read_as": "picture", "camera": f"{robot}/{self.key}", "width": self.width, "height": self.height}
 
     def _bind(self, world, robot):

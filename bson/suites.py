@@ -1,7 +1,7 @@
 """Frozen sets of episodes: assets/suites/NAME.toml.
 
-A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes of
-the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
+A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes
+of the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
 """
 
 import dataclasses
@@ -117,14 +117,15 @@ class Suite:
 
     @property
     def digest(self):
-        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal digits."""
+        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal
+        digits."""
         content = [self.seeds, *(cell.content for cell in self.cells)]
         text = json.dumps(content, sort_keys=True, default=np.ndarray.tolist)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def drawn(self, episodes=None, seed=0):
-        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set of
-        the kind.
+        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set
+        of the kind.
 
         Raises ValueError when the suite has fewer episodes.
         """
@@ -146,8 +147,8 @@ def load_suite(name: str) -> Suite:
 
 
 def read_suite(file):
-    """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and `axes` (of
-    each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
+    """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and
+    `axes` (of each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
     called = f"suite {shown_path(file)}"
     document = parse(file, "suite", read_bytes(file, "suite"))
     checked = convert(document, _File, called)
@@ -158,7 +159,8 @@ def read_suite(file):
     if (number := math.prod(map(len, checked.axes.values()))) > _MOST_CELLS:
         raise UsageError(f"{called}, key 'axes': their grades make {number} cells; {_MOST_CELLS} are possible.")
     axes = [
-        [(axis, grade, changes) for grade, changes in grades.items()] for axis, grades in document.get("axes", {}).items()
+        [(axis, grade, changes) for grade, changes in grades.items()]
+        for axis, grades in document.get("axes", {}).items()
     ]
     key = "config"
     try:

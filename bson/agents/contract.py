@@ -205,7 +205,8 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
         array = _as_numbers(action)
     except (Exception, SystemExit) as error:  # whatever an array of somebody's own raises
         raise AgentError(
-            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; {_ACTION}."
+            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; "
+            f"{_ACTION}."
         ) from error
     if array.shape != (2,):
         raise AgentError(f"Agent '{name}' returned {_kind(action)} of shape {array.shape}; {_ACTION}.")

@@ -103,7 +103,8 @@ def _trained(recipe, path):
     if "setting" in recipe:
         trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")
         for key in _TOP:
-            if not (isinstance(trained.robot.get(key), float) and trained.robot[key] > 0):
+            value = trained.robot.get(key)
+            if not (isinstance(value, float) and value > 0):
                 raise UsageError(f"{called}, key 'setting': its robot has no {key} above 0.")
         return trained
     task = recipe.get("task") or {}
@@ -152,7 +153,8 @@ class Factory:
         self._trained = functools.cache(lambda: _trained(recipe, path))
         self._top = tuple(self._trained().robot[key] for key in _TOP) if "setting" in recipe else TOP
 
-    def __call__(self, setting=None):
+    def __call__(self, setting: Setting | None = None) -> Learned:
+        """An agent for one world of `setting`. Raises Unsuited."""
         if setting is not None:
             self._check(setting)
         return Learned(self._layers, self._output, self._top)

@@ -23,6 +23,7 @@ class Random:
         self._rng = np.random.default_rng(seed)
 
     def __call__(self, observation):
+        """The action (2,), whatever the observation."""
         return self._rng.uniform(-1.0, 1.0, 2)
 
 

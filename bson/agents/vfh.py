@@ -107,14 +107,12 @@ class Vfh:
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation):
+        """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         self._localise(goal, velocity)
         self._old = self._steps % self._scan.every
         self._steps += 1
-        if self._old:
-            walls = (self._met - self._position) @ self._rotation
-        else:
-            walls = self._look(self._scan.read(observation))
+        walls = (self._met - self._position) @ self._rotation if self._old else self._look(self._scan.read(observation))
         target = self._steer(goal, walls)
         return self._move(target, velocity, walls)
 
@@ -189,6 +187,7 @@ class Vfh:
         distance = np.sqrt(np.minimum.reduceat(px * px + py * py, starts)) + radius
         x, y = distance * np.cos(middle), distance * np.sin(middle)
         parts, products = np.empty((3, len(label))), np.empty((6, len(label)))
+        squared = np.zeros(len(counts))
         for _ in range(2):
             dx, dy = px - x[label], py - y[label]
             length = np.sqrt(dx * dx + dy * dy)
@@ -253,9 +252,13 @@ class Vfh:
         free = self._free_way(np.array([bearing]), blocking, blocking_ranges)[0]
         if not len(blocking):
             self._follow = None
-        if self._follow is not None and self._scan.sees(bearing):
-            if free >= min(reach, c.leave_free) - 0.2 and distance < self._follow[1] - c.follow_gain:
-                self._follow = None
+        if (
+            self._follow is not None
+            and self._scan.sees(bearing)
+            and free >= min(reach, c.leave_free) - 0.2
+            and distance < self._follow[1] - c.follow_gain
+        ):
+            self._follow = None
         if self._follow is None and free >= reach - 0.2:
             self._steered = self._yaw + bearing
             return goal
@@ -296,6 +299,7 @@ class Vfh:
 
     def _along_wall(self, directions, free, ranges):
         """The first free direction [rad], sweeping from the followed wall away from it."""
+        assert self._follow is not None  # or there is no wall to go along
         side = self._follow[0]
         order = np.argsort(side * directions)
         directions, free = directions[order], free[order]

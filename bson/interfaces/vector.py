@@ -1,7 +1,8 @@
 """The worlds of `bson.interfaces.functional` as a Gymnasium vector environment: `gymnasium.make_vec(id, num_envs=4096,
 engine="warp")`."""
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import jax
@@ -17,6 +18,7 @@ from bson.simulation.world import check_worlds
 from macid.documents import shown
 
 OUTPUTS = ("numpy", "jax", "torch")
+_METADATA = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
 _NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
 
 
@@ -32,7 +34,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     many as are needed. limits: a dict of fields of bson.simulation.engines.warp.WarpConfig.
     """
 
-    metadata: ClassVar = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
+    metadata = _METADATA
 
     def __init__(
         self,
@@ -68,8 +70,10 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.single_observation_space, self.single_action_space = self._func.observation_space, ACTION_SPACE
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._pool = {"pool": pool, "workers": workers}
-        self._worlds = self._carry = self._step = self._tally = None
+        self._pool: dict[str, Any] = {"pool": pool, "workers": workers}
+        self._worlds: DeviceWorlds | None = None
+        self._step: Callable | None = None
+        self._carry = self._tally = None
 
     def reset(self, *, seed=None, options=None):
         """Begins an episode in every world."""
@@ -92,12 +96,13 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     def step(self, actions):
         """One control step of every world; a world whose episode ended begins its next instead."""
-        if self._carry is None:
+        worlds, step = self._worlds, self._step
+        if self._carry is None or worlds is None or step is None:
             raise gymnasium.error.ResetNeeded("Call reset before step.")
-        episodes = self._worlds.ready(2)  # the last step may not be counted yet
-        self._carry, outcome, info, tally = self._step(self._carry, self._taken(actions), episodes)
+        episodes = worlds.ready(2)  # the last step may not be counted yet
+        self._carry, outcome, info, tally = step(self._carry, self._taken(actions), episodes)
         if self._tally is not None:
-            self._worlds.count(self._tally)  # of the step before, so that nobody waits for this one
+            worlds.count(self._tally)  # of the step before, so that nobody waits for this one
         self._tally = tally
         ends = outcome.reward, outcome.terminated, outcome.truncated
         observation, (reward, terminated, truncated), info = self._given((outcome.observation, ends, self._infos(info)))
@@ -115,6 +120,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._worlds = self._carry = self._step = self._tally = None
 
     def _stepped(self, carry, actions, episodes):
+        assert self._worlds is not None  # or there is no carry
         carry, outcome = self._worlds.step(carry, actions, episodes)
         return carry, outcome, jax.vmap(self._func.state_info)(carry.states), self._worlds.tally(carry)
 

@@ -1,8 +1,8 @@
-"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset `paper`
-of bson.learning.train; the defaults differ where that learns better, or in less time.
+"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset
+`paper` of bson.learning.train; the defaults differ where that learns better, or in less time.
 
-Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's and
-TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
+Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's
+and TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
 """
 
 import dataclasses
@@ -94,8 +94,8 @@ def linear_layers(module):
 
 
 def export(model):
-    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one with
-    an actor, as SAC has, "clip" of others."""
+    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one
+    with an actor, as SAC has, "clip" of others."""
     if hasattr(model, "actor"):
         return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
     policy = model.policy

@@ -1,11 +1,14 @@
 """Behaviour cloning: regression on the better episodes of an expert (paper, sec. VI-D)."""
 
 import dataclasses
+import itertools
+from typing import cast
 
 import numpy as np
 import torch
 
 from bson.agents.contract import Setting, made_for
+from bson.agents.learned import Learned
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
 from bson.features import FEATURES, Features
@@ -30,13 +33,13 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
     """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
     actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
     setting = Setting.of(config, track)
-    agent = made_for(expert, setting)
+    agent = cast(Learned, made_for(expert, setting))
     session = Session(config, track, nworld, seeds=[seed + index for index in range(nworld)])
     everyone = np.arange(nworld)
     features, its = Features(nworld, setting.top), Features(nworld, agent.top)
     begun = session.reset(everyone, session.next_seeds(everyone))
     x, its_x = features.begin(everyone, begun), its.begin(everyone, begun)
-    recorders = [Recorder(session, index) for index in everyone]
+    recorders = [Recorder(session, int(index)) for index in everyone]
     seen, done = [([], []) for _ in everyone], []
     collected = 0
     while collected < steps:
@@ -59,7 +62,7 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
             begun = session.reset(ended, session.next_seeds(ended))
             x[ended], its_x[ended] = features.begin(ended, begun), its.begin(ended, begun)
             for index in ended:
-                recorders[index] = Recorder(session, index)
+                recorders[index] = Recorder(session, int(index))
         if progress:
             progress(nworld)
     return done
@@ -78,7 +81,7 @@ def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
     """
     torch.manual_seed(seed)
     sizes = (FEATURES, *config.hidden, action.shape[1])
-    linear = [torch.nn.Linear(*pair) for pair in zip(sizes[:-1], sizes[1:], strict=True)]
+    linear = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
     between = [layer for each in linear[:-1] for layer in (each, torch.nn.ReLU())]
     network = torch.nn.Sequential(*between, linear[-1])
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)

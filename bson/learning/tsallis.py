@@ -5,6 +5,7 @@ ln; at q = 1 the two are the same. All else is stable-baselines3's SAC.
 """
 
 import torch
+from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
 _EPSILON = 1e-6  # as stable-baselines3's squashed Gaussian
@@ -16,15 +17,19 @@ def log_q(log_x, q):
 
 
 class TsallisActor(Actor):
-    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities, or, `joint`, ln_q of their product."""
+    """SAC's actor, whose `action_log_prob` is the sum of ln_q of its dimensions' densities, or, `joint`, ln_q of their
+    product."""
 
     q, joint = 1.0, False
 
     def action_log_prob(self, obs):
         """Actions (N, 2) drawn for `obs` (N, features), and their ln_q pi (N,)."""
-        mean, log_std, kwargs = self.get_action_dist_params(obs)
-        action = self.action_dist.actions_from_params(mean, log_std, **kwargs)
-        gaussian = self.action_dist.distribution.log_prob(self.action_dist.gaussian_actions)
+        mean, log_std, _ = self.get_action_dist_params(obs)
+        drawn = self.action_dist
+        assert isinstance(drawn, SquashedDiagGaussianDistribution)  # as without state-dependent noise
+        action = drawn.actions_from_params(mean, log_std)
+        assert drawn.gaussian_actions is not None  # of the action that was just drawn
+        gaussian = drawn.distribution.log_prob(drawn.gaussian_actions)
         log_density = gaussian - torch.log(1.0 - action**2 + _EPSILON)
         if self.joint:
             return action, log_q(log_density.sum(dim=-1), self.q)

@@ -1,6 +1,6 @@
 """BSON's vector environment as stable-baselines3 wants it: with all that is observed, or with features of it."""
 
-import types
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -50,29 +50,30 @@ class WorldsVecEnv(_Worlds):
         PPO("MultiInputPolicy", env).learn(100_000)
 
     Observations are the dicts of all worlds. A world whose episode ended begins its next in the same step, in each of
-    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r, length
-    l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields for it,
-    the same for all worlds. Raises ValueError for an environment that is not BSON's.
+    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r,
+    length l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields
+    for it, the same for all worlds. Raises ValueError for an environment that is not BSON's.
     """
 
     def __init__(self, env):
-        if not isinstance(getattr(env, "unwrapped", None), BsonVectorEnv):
+        worlds = getattr(env, "unwrapped", None)
+        if not isinstance(worlds, BsonVectorEnv):
             raise ValueError(f"WorldsVecEnv takes what gymnasium.make_vec('BSON/...') gives, not {env!r}.")
-        self._env, self.render_mode = env, None
+        self._env, self._worlds, self.render_mode = env, worlds, None
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, int)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     @property
     def world(self):
         """The World of all, for whoever needs more than the observation."""
-        return self._env.unwrapped.world
+        return self._worlds.world
 
     def reset(self):
         """Begins an episode in every world; their observations."""
         options = self._options[0]
         if any(other != options for other in self._options):
             raise ValueError("The worlds share one configuration: give one set of options for all.")
-        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        seeds: Any = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observation, info = self._env.reset(seed=seeds, options=options or None)
         self.reset_infos = self._infos(info)
         self._reset_seeds()
@@ -121,8 +122,10 @@ class FeatureVecEnv(_Worlds):
     length l, and the parts of the score."""
 
     def __init__(self, num_envs, seed, nthread=0, **config):
-        self._env = BsonVectorEnv(num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config)
-        robot = self._env.config.robot
+        self._env = self._worlds = BsonVectorEnv(
+            num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config
+        )
+        robot = self._worlds.config.robot
         self._features = Features(num_envs, (robot.max_speed, robot.max_yaw_rate))
         self._all = np.arange(num_envs)
         self._returns, self.render_mode = np.zeros(num_envs), None
@@ -132,7 +135,7 @@ class FeatureVecEnv(_Worlds):
     @property
     def world(self):
         """The World of all, for whoever measures it."""
-        return self._env.world
+        return self._worlds.world
 
     def reset(self):
         """Begins an episode in every world; features (num_envs, FEATURES)."""
@@ -161,7 +164,7 @@ class FeatureVecEnv(_Worlds):
         return features, reward.astype(np.float32), done, infos
 
     def _summary(self, index, info):
-        driven = types.SimpleNamespace(
+        driven = metrics.Driven(
             start_distance=info["start_distance"][index],
             final_distance=info["distance"][index],
             travelled=info["travelled"][index],
@@ -170,7 +173,7 @@ class FeatureVecEnv(_Worlds):
         )
         return {
             "r": float(self._returns[index]),
-            "l": round(float(driven.duration) / self._env.config.control_period),
+            "l": round(float(driven.duration) / self._worlds.config.control_period),
             "SNS": float(metrics.sns(driven)),
             "RC": float(metrics.route_completion(driven)),
             "Coll": float(driven.collisions),

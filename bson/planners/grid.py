@@ -47,7 +47,7 @@ class Grid:
         resolution [m] is adapted to a whole number of cells a side.
         """
         resolution = layout.size / max(1, round(layout.size / resolution))
-        return cls(routing.occupancy_grid(layout, resolution, radius), resolution, (-layout.size / 2,) * 2)
+        return cls(routing.occupancy_grid(layout, resolution, radius), resolution, np.full(2, -layout.size / 2))
 
     @property
     def shape(self):
@@ -76,7 +76,7 @@ class Grid:
     def clearance(self):
         """Distance (rows, columns) [m] from each cell's centre to the nearest occupied cell or the map's edge."""
         # The point of an occupied square that is nearest to another cell's centre is one of those that _closed marks.
-        return (ndimage.distance_transform_edt(~self._closed) * (self.resolution / 2))[1::2, 1::2]
+        return (np.asarray(ndimage.distance_transform_edt(~self._closed)) * (self.resolution / 2))[1::2, 1::2]
 
     def inflated(self, radius):
         """The grid with obstacles and the map's edge grown by `radius` [m].
@@ -98,7 +98,10 @@ class Grid:
     @functools.cached_property
     def regions(self):
         """Numbers (rows, columns) of the connected parts of free space; 0: occupied."""
-        return ndimage.label(~self.occupied)[0]  # by sides: a diagonal that cuts no corner has a way around by sides
+        # By sides: a diagonal that cuts no corner has a way around by sides.
+        regions = np.zeros(self.shape, np.int32)
+        ndimage.label(~self.occupied, output=regions)
+        return regions
 
     @functools.cached_property
     def moves(self):

@@ -133,6 +133,7 @@ class Rrt:
         return np.einsum("ni,ni->n", offset, offset)
 
     def line_costs(self, start, ends):
+        """The costs of the lines from `start` (2,) to each of `ends` (n, 2); infinity where one is not free."""
         return line_costs(self.grid, self.rate, start, ends)
 
     def straight(self, nearest, sample):
@@ -152,6 +153,7 @@ class Rrt:
         self.add(point, nearest, cost)
 
     def add(self, point, parent, cost):
+        """Adds the node `point` (2,) below node `parent`, by an edge of `cost`; its number."""
         node = len(self.parents)
         self.points[node] = point
         self.parents.append(parent)
@@ -170,9 +172,11 @@ class RrtStar(Rrt):
     """RRT, but a new node takes the parent that makes it cheapest, and becomes the parent of whom it makes cheaper."""
 
     def enough(self):
+        """After how many samples it stops."""
         return self.config.enough
 
     def join(self, nearest, point, cost):
+        """Adds the node `point` (2,) below the node near it that makes it cheapest; `nearest` is one, `cost` away."""
         is_near = self.squared_distances(point) <= self.radius() ** 2
         is_near[nearest] = True
         near = np.flatnonzero(is_near)
@@ -212,6 +216,7 @@ class CarrtStar(RrtStar):
         super().__init__(grid, rate, start, goal, rng, config, known)
 
     def extend(self, nearest, sample):
+        """As Rrt.extend, of the extensions that are drawn the best."""
         config, start = self.config, self.points[nearest]
         angle, length = self.straight(nearest, sample)
         if length == 0:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,7 +178,7 @@ class Pool:
             seeds = range(self._next_seed, self._next_seed + self._block)
             self._next_seed += self._block
             number = self._next_seed // self._block
-            task = self._workers[number % len(self._workers)] if self._workers else draw_all
+            task: Callable[..., Any] = self._workers[number % len(self._workers)] if self._workers else draw_all
             self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map))
 
     def used(self, number):

@@ -26,6 +26,7 @@ class Renderer(drawing.Offscreen):
         model, self._nworld = copy.copy(model), nworld
         draw_plainly(model.vis.quality)
         super().__init__(model, model.cam_resolution.max(axis=0), extra=100)
+        assert self._context is not None  # until `close`
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._camera = mujoco.MjvCamera()
