@@ -7,9 +7,12 @@ which the file declares are within bounds.
 import io
 import json
 import math
+import os
 import re
 import zipfile
 import zlib
+from collections.abc import Mapping
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -25,7 +28,7 @@ class DamagedError(ValueError):
     """A file holds something else than arrays and JSON, or more than was asked for; the message says what."""
 
 
-def pack(arrays, documents=None):
+def pack(arrays: Mapping[str, np.ndarray], documents: Mapping[str, Any] | None = None) -> bytes:
     """The content (bytes) of a file that holds `arrays`, {name: array}, and `documents`, {name: a value of JSON}."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
@@ -38,7 +41,7 @@ def pack(arrays, documents=None):
     return buffer.getvalue()
 
 
-def unpack(file, most):
+def unpack(file: BinaryIO | str | os.PathLike[str], most: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """What `pack` or numpy.savez wrote to `file` (a path, or an open binary file): ({name: array}, {name: document}).
 
     most: the bytes that all arrays and documents may have together, unpacked. Raises DamagedError, and OSError where

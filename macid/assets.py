@@ -5,7 +5,7 @@ import pathlib
 
 
 @functools.cache
-def root():
+def root() -> pathlib.Path:
     """The assets folder. Raises FileNotFoundError when the installation lacks it."""
     package = pathlib.Path(__file__).resolve().parent
     for folder in (package / "_assets", package.parent / "assets"):
@@ -14,7 +14,7 @@ def root():
     raise FileNotFoundError(f"No assets beside {package}: this installation is incomplete; reinstall bson.")
 
 
-def path(*parts):
+def path(*parts: str) -> pathlib.Path:
     """Path of the asset `parts` (folder names and a file name). Raises FileNotFoundError, naming what there is."""
     found = root().joinpath(*parts)
     if not found.exists():
@@ -23,6 +23,6 @@ def path(*parts):
     return found
 
 
-def names(folder, suffix):
+def names(folder: str, suffix: str) -> list[str]:
     """Names, without `suffix`, of the assets in `folder`, sorted."""
     return sorted(p.name[: -len(suffix)] for p in (root() / folder).glob(f"*{suffix}"))

@@ -4,7 +4,8 @@ import dataclasses
 import functools
 import os
 import time
-from typing import cast
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ WORLDS = (1, 4, 16, 64)
 KINDS = ("rollout", "training")
 
 
-def measure(config, seconds=3.0, only=None):
+def measure(config: presets.TrainConfig, seconds: float = 3.0, only: str | None = None) -> tuple[float | None, ...]:
     """Agent-steps/s of rollouts alone (observation, policy, physics, reward) and of whole training iterations.
 
     Each is repeated for about `seconds` [s], after a first call that compiles. only: "rollout" or "training"; the other
@@ -38,7 +39,7 @@ def measure(config, seconds=3.0, only=None):
     return tuple(found)
 
 
-def profile_parts(config, seconds=1.0):
+def profile_parts(config: presets.TrainConfig, seconds: float = 1.0) -> dict[str, float]:
     """{part: microseconds} that parts of a training iteration take a decision of all worlds, each compiled by itself:
     the rollout, the same without physics, physics alone, observation alone, and the gradient steps of the update.
     """
@@ -103,7 +104,7 @@ def _duration(call, seconds):
     return (time.perf_counter() - begin) / count
 
 
-def device():
+def device() -> str:
     """JAX's devices, for tables: their kind and number, beside the CPUs."""
     devices = jax.devices()
     cpus = f"{os.cpu_count()} CPUs"
@@ -111,16 +112,16 @@ def device():
 
 
 def run(
-    engine="native",
-    levels=LEVELS,
-    worlds=WORLDS,
-    seconds=3.0,
-    preset="fast",
-    show=print,
-    rollout=50,
-    only=None,
-    profile=False,
-):
+    engine: str = "native",
+    levels: Sequence[int | str] = LEVELS,
+    worlds: Sequence[int] = WORLDS,
+    seconds: float = 3.0,
+    preset: str = "fast",
+    show: Callable[[str], None] = print,
+    rollout: int = 50,
+    only: str | None = None,
+    profile: bool = False,
+) -> list[dict[str, Any]]:
     """Prints the table, a line a case; returns its rows as dicts.
 
     rollout: decisions between updates. only: see `measure`. profile: each row also has what parts take, see

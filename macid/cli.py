@@ -4,6 +4,7 @@ import argparse
 import pathlib
 import shlex
 import sys
+from collections.abc import Sequence
 
 from macid import engines, start
 from macid.command import (
@@ -195,7 +196,7 @@ def _bench(args):
     return 0
 
 
-def parser():
+def parser() -> Parser:
     """The command's parser."""
     root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
     models = "a rule, a shipped policy, or a policy file (.npz)"
@@ -300,7 +301,7 @@ def parser():
     return root
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
     if argv is None:
         return start.run("macid", start.macid_command)

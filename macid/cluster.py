@@ -22,10 +22,11 @@ import tempfile
 import threading
 import traceback
 import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from macid import assets, start
-from macid.executors import Carried
+from macid.executors import Carried, Job, Work
 from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
@@ -110,7 +111,7 @@ class Cluster:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
-    def run(self, work, jobs, receive, carried: Carried) -> None:
+    def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: Carried) -> None:
         """See macid.executors.Executor.run."""
         ray = self._ray
         assert self.workers is not None  # in the `with`
@@ -288,7 +289,7 @@ def _other_version(bundle):
     )
 
 
-def serve(bundle: _Bundle, call: bytes):
+def serve(bundle: _Bundle, call: bytes) -> Iterator[bytes]:
     """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The
     work is done in a thread."""
     if problem := _other_version(bundle):
@@ -339,7 +340,7 @@ def _unpacked(bundle):
                     del sys.modules[name]
 
 
-def moved(value, files, root):
+def moved(value: Any, files: Mapping[str, Any], root: str) -> Any:
     """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):

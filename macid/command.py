@@ -24,7 +24,7 @@ _WORD = 100_000  # of any word: an LCF for each of 2,000 people fits
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, and whose numbers have bounds."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE  # argparse takes -1e-3 and -inf for flags
         self._bounds = {}

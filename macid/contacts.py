@@ -1,10 +1,11 @@
 """Who touches whom: a geometric test, the same on all engines, so that scores don't depend on a solver's details."""
 
 from macid import geometry
+from macid.geometry import Array
 from macid.state import CONTACT_GAP, RADIUS
 
 
-def touching(position, boxes):
+def touching(position: Array, boxes: Array) -> Array:
     """Whether each person of `position` (..., K, 2) [m] is within CONTACT_GAP of another or of `boxes` (..., B, 5):
     (..., K)."""
     xp = position.__array_namespace__()
@@ -13,6 +14,6 @@ def touching(position, boxes):
     return people | xp.any(to_boxes <= RADIUS + CONTACT_GAP, axis=-1)
 
 
-def touching_people(position):
+def touching_people(position: Array) -> Array:
     """Who touches whom of `position` (..., K, 2) [m]: (..., K, K), nobody oneself."""
     return geometry.pairs_within(position, 2 * RADIUS + CONTACT_GAP)

@@ -13,13 +13,13 @@ _ROUNDING = 1e-3  # of distances in float32, in cells
 _POCKET = 1.0  # area in which nobody needs to walk [m2]
 
 
-def runs(solid):
+def runs(solid: np.ndarray) -> int:
     """The number of runs of solid cells along rows in the grid `solid` (rows, columns) bool; `exact` takes time and
     memory for each."""
-    return np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0])
+    return int(np.count_nonzero(solid[:, 1:] & ~solid[:, :-1]) + np.count_nonzero(solid[:, 0]))
 
 
-def exact(solid):
+def exact(solid: np.ndarray) -> np.ndarray:
     """Rectangles (N, 4) that cover the cells `solid` (rows, columns) bool and no other, none twice: runs of cells along
     a row are joined with equal runs in the rows above."""
     rows = len(solid)
@@ -37,7 +37,7 @@ def exact(solid):
     return np.reshape(np.array(found, dtype=int), (-1, 4))
 
 
-def merged(solid, resolution, most):
+def merged(solid: np.ndarray, resolution: float, most: int) -> np.ndarray:
     """At most `most` rectangles (N, 4) that cover all of the cells `solid` (rows, columns) bool, of side `resolution`
     [m], and some free ones beside.
 
@@ -68,7 +68,7 @@ def merged(solid, resolution, most):
     raise AssertionError("one rectangle covers everything")
 
 
-def leaves_room(solid, found, resolution):
+def leaves_room(solid: np.ndarray, found: np.ndarray, resolution: float) -> bool:
     """Whether people have a way on the grid `solid` (rows, columns) bool of cells of side `resolution` [m] that the
     rectangles `found` (N, 4) cover in part; True also where people had no way before."""
     covered = solid.copy()
@@ -81,12 +81,12 @@ def _fill(cells, found):
         cells[y0:y1, x0:x1] = True
 
 
-def _coarser(solid, grain):
+def _coarser(solid: np.ndarray, grain: int) -> np.ndarray:
     """The grid of blocks of `grain` x `grain` cells: solid where a cell is."""
     rows, columns = (-(-length // grain) * grain for length in solid.shape)
     padded = np.ones((rows, columns), bool)
     padded[: solid.shape[0], : solid.shape[1]] = solid
-    return padded.reshape(rows // grain, grain, columns // grain, grain).any(axis=(1, 3))
+    return np.asarray(padded.reshape(rows // grain, grain, columns // grain, grain).any(axis=(1, 3)))
 
 
 def _scaled(found, grain, shape):

@@ -1,6 +1,7 @@
 """An episode of a crowd: everybody walks from a start to a goal and leaves the map there. Functional and jittable."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from macid.engines.base import repeat
 from macid.geometry import Array
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
-from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, parking_place, physics_steps
+from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, CrowdState, parking_place, physics_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,12 +38,12 @@ class CrowdConfig:
             raise ValueError(f"lcf must be a range (least, most) in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
 
     @property
-    def substeps(self):
+    def substeps(self) -> int:
         """Physics steps a decision lasts."""
         return physics_steps(self.period)
 
     @property
-    def steps(self):
+    def steps(self) -> int:
         """Decisions in an episode."""
         return round(self.duration / self.period)
 
@@ -79,7 +80,7 @@ def _position(state, episode):
     return state.position
 
 
-def snapshot(state, episode):
+def snapshot(state: CrowdState, episode: Episode) -> tuple[Array, Array, Array, Array]:
     """For `Crowd.rollout`: what a macid.watch.Recording keeps of an instant: position, yaw, walking and collisions."""
     return state.position, state.yaw, episode.walking, episode.collisions
 
@@ -94,15 +95,17 @@ class Crowd:
         self._init = jax.jit(self.engine.init)
 
     @property
-    def boxes(self):
+    def boxes(self) -> Array:
         """(B, 5), for controllers and observations."""
         return self.engine.boxes
 
-    def reset(self, rng) -> Episode:
+    def reset(self, rng: np.random.Generator) -> Episode:
         """A new episode in every world, drawn from the numpy Generator `rng`. Raises NoFreeSpace."""
         return self.begin(*self.draw(rng, self.nworld, self.config.lcf))
 
-    def draw(self, rng, nworld, lcf):
+    def draw(
+        self, rng: np.random.Generator, nworld: int, lcf: tuple[float, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Starts and goals (nworld, K, 2) [m] and LCFs (nworld, K), these from the range `lcf`, drawn from the numpy
         Generator `rng`. Raises NoFreeSpace."""
         number = self.config.number
@@ -110,7 +113,7 @@ class Crowd:
         goals = np.stack([sample_goals(rng, self.layout, s, self.config.goal_distance) for s in starts])
         return starts, goals, rng.uniform(*lcf, (nworld, number))
 
-    def begin(self, starts, goals, lcf) -> Episode:
+    def begin(self, starts: np.ndarray, goals: np.ndarray, lcf: np.ndarray) -> Episode:
         """The episodes of people who stand at `starts` and go to `goals`, (nworld, K, 2) [m], with the LCFs `lcf`."""
         shape, towards = (self.nworld, self.config.number), goals - starts
         state = self._init(starts, np.arctan2(towards[..., 1], towards[..., 0]))
@@ -124,13 +127,11 @@ class Crowd:
             *(jnp.zeros(shape, jnp.float32) for _ in range(5)),
         )
 
-    def step(self, episode: Episode, command) -> Episode:
+    def step(self, episode: Episode, command: Array) -> Episode:
         """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
         return self.transition(episode, command)[0]
 
-    def transition(
-        self, episode: Episode, command: Array, weights: RewardWeights = WEIGHTS
-    ) -> tuple[Episode, Outcome]:
+    def transition(self, episode: Episode, command: Array, weights: RewardWeights = WEIGHTS) -> tuple[Episode, Outcome]:
         """`step` and its Outcome, whose rewards follow from `weights` (a collision: any contact during the
         decision)."""
         command = jnp.where(episode.walking[..., None], command, 0.0)
@@ -166,7 +167,13 @@ class Crowd:
         )
         return following, Outcome(after, arrived, individual, shared)
 
-    def rollout(self, episode: Episode, controller, steps=None, record=_position):
+    def rollout(
+        self,
+        episode: Episode,
+        controller: Callable[..., Array],
+        steps: int | None = None,
+        record: Callable[[CrowdState, Episode], Any] = _position,
+    ) -> tuple[Episode, Any]:
         """Jitted: `steps` decisions (default: the episode's) of `controller`. Returns the Episode and what
         `record(crowd state, episode)` gives before each decision, stacked; by default the positions
         (steps, nworld, K, 2) [m]."""

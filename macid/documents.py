@@ -275,9 +275,7 @@ def _place(document, schema, path):
         around = _description(kinds) or around
         if name:
             key, value = f"{key}.{name}" if key else name, value[name]
-            kinds = [
-                typing.get_type_hints(kind, include_extras=True)[name] for kind in allowed if hasattr(kind, name)
-            ]
+            kinds = [typing.get_type_hints(kind, include_extras=True)[name] for kind in allowed if hasattr(kind, name)]
         elif index:
             key, value = f"{key}[{index}]", value[int(index)]
             kinds = [

@@ -14,10 +14,14 @@ import pathlib
 import platform
 import sys
 import weakref
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from macid.files import UsageError, named, new_file, write_bytes
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
@@ -42,7 +46,7 @@ class Unavailable(UsageError, RuntimeError):
     """This machine can't draw; the message says why and how to mend it."""
 
 
-def gl_problem():
+def gl_problem() -> str | None:
     """Why nothing can be drawn here and how to mend it, in one line; None where all is well."""
     try:
         context = gl_context(16, 16)
@@ -58,7 +62,7 @@ def gl_problem():
     return None
 
 
-def gl_context(width, height):
+def gl_context(width: int, height: int) -> Any:
     """An OpenGL context: EGL on Linux (no display needed) unless MUJOCO_GL says otherwise. Raises Unavailable.
 
     MuJoCo itself picks GLFW, which needs a display, when MUJOCO_GL is unset, and does so as soon as it is imported.
@@ -96,7 +100,7 @@ def gl_context(width, height):
 
 
 @contextlib.contextmanager
-def current(gl):
+def current(gl: Any) -> Iterator[None]:
     """Within, OpenGL goes to the context `gl`; afterwards, to what it went to before.
 
     A context that stayed current in one thread could not be used by any other.
@@ -127,7 +131,7 @@ def current(gl):
         restore()
 
 
-def offscreen(model):
+def offscreen(model: mujoco.MjModel) -> mujoco.MjrContext:
     """An MjrContext that draws `model` offscreen, in the OpenGL context that is current. Raises Unavailable."""
     global _gl_failure
     try:
@@ -139,13 +143,13 @@ def offscreen(model):
     return context
 
 
-def close_at_exit(stage):
+def close_at_exit(stage: "Offscreen") -> None:
     """Has `stage.close()` called before the graphics library goes, if it is still there; call after `gl_context`."""
     close_before_all_else()
     _open_stages.add(stage)
 
 
-def close_before_all_else():
+def close_before_all_else() -> None:
     """Has stages closed at exit before the clean-ups that were registered until now, such as an EGL library's own."""
     atexit.unregister(_close_all)
     atexit.register(_close_all)
@@ -156,18 +160,18 @@ def _close_all():
         stage.close()
 
 
-def lcf_colour(lcf):
+def lcf_colour(lcf: float | np.ndarray) -> np.ndarray:
     """The colour of each `lcf` (...), RGB (..., 3) in [0, 1]: red if adversarial (-2), pale yellow at 0, blue at 2."""
     stops = np.linspace(*LCF_RANGE, len(LCF_STOPS))
     return np.stack([np.interp(lcf, stops, channel) for channel in LCF_STOPS.T], axis=-1)
 
 
-def rgb255(rgb):
+def rgb255(rgb: Iterable[float]) -> tuple[int, ...]:
     """A colour of [0, 1] as OpenCV has it: integers to 255."""
     return tuple(round(255 * float(channel)) for channel in rgb)
 
 
-def pace(speed):
+def pace(speed: float) -> str:
     """The playback's speed in words."""
     return "real time" if abs(speed - 1) < 0.01 else f"played {speed:.3g} times as fast"
 
@@ -181,7 +185,7 @@ class Offscreen:
 
     _gl = _context = None  # when `close` comes before they are made
 
-    def __init__(self, model, size, extra):
+    def __init__(self, model: mujoco.MjModel, size: Sequence[int] | np.ndarray, extra: int):
         model.vis.global_.offwidth, model.vis.global_.offheight = size
         self._gl = gl_context(*map(int, size))
         close_at_exit(self)
@@ -195,7 +199,7 @@ class Offscreen:
     def __del__(self):
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Frees the graphics resources."""
         gl, context = self._gl, self._context
         self._gl = self._context = None
@@ -205,13 +209,13 @@ class Offscreen:
                     context.free()
             gl.free()
 
-    def current(self):
+    def current(self) -> AbstractContextManager[None]:
         """Directs OpenGL here within a `with`: see the function `current`. Raises ValueError once closed."""
         if self._gl is None:
             raise ValueError(f"This {type(self).__name__} is closed.")
         return current(self._gl)
 
-    def place(self, camera):
+    def place(self, camera: mujoco.MjvCamera) -> None:
         """Puts the bodies where `data` has their coordinates, and the model alone into the scene, seen by `camera`."""
         model, data = self.model, self.data
         mujoco.mj_kinematics(model, data)
@@ -228,7 +232,14 @@ class Stage(Offscreen):
     anti-aliasing; on a CPU, 4 takes twice the time.
     """
 
-    def __init__(self, model, size, views, scale=1.0, samples=0):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        size: Sequence[float],
+        views: Iterable[Sequence[float]],
+        scale: float = 1.0,
+        samples: int = 0,
+    ):
         self.scale = scale
         self.size = tuple(2 * round(side * scale / 2) for side in size)  #: width, height [pixels]
         model = copy.copy(model)
@@ -251,20 +262,29 @@ class Stage(Offscreen):
     def __exit__(self, *_):
         self.close()
 
-    def rect(self, view):
+    def rect(self, view: Sequence[float]) -> tuple[int, ...]:
         """A rectangle of the page at scale 1, in pixels."""
         return tuple(round(value * self.scale) for value in view)
 
-    def pose(self):
+    def pose(self) -> None:
         """Puts the bodies where `data` has their coordinates, and the model alone into the scene."""
         self.place(self._free)
         self.scene.geoms[self._floor].category = mujoco.mjtCatBit.mjCAT_DECOR
 
-    def page(self):
+    def page(self) -> np.ndarray:
         """An empty page."""
         return np.full((self.size[1], self.size[0], 3), PAPER, np.uint8)
 
-    def add(self, kind, size, place, rgba, yaw=0.0, glow=0.0, shadow=True):
+    def add(
+        self,
+        kind: mujoco.mjtGeom,
+        size: ArrayLike,
+        place: ArrayLike,
+        rgba: ArrayLike,
+        yaw: float = 0.0,
+        glow: float = 0.0,
+        shadow: bool = True,
+    ) -> None:
         """Adds a shape to the scene: `size` as MuJoCo's geoms have it [m], turned by `yaw` about the vertical."""
         if self.scene.ngeom >= self.scene.maxgeom:
             return
@@ -282,7 +302,7 @@ class Stage(Offscreen):
         geom.emission, geom.specular, geom.shininess = glow, 0.15, 0.2
         self.scene.ngeom += 1
 
-    def add_people(self, poses, colours):
+    def add_people(self, poses: np.ndarray, colours: np.ndarray) -> None:
         """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders: body and head in
         `colours` (K, 3), and a visor where they face."""
         box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
@@ -295,7 +315,7 @@ class Stage(Offscreen):
             self.add(ball, [head, head, 0.22], [x, y, HEIGHT - 0.22], [*(0.85 * rgb), 1.0], glow=0.15)
             self.add(box, [0.10, 0.13, 0.045], [x + 0.13 * c, y + 0.13 * s, HEIGHT - 0.2], [0.1, 0.1, 0.12, 1.0], yaw)
 
-    def add_goal(self, goal):
+    def add_goal(self, goal: np.ndarray) -> None:
         """Adds a disc as large as `goal` (2,) [m] is, a translucent column, and a flag above everybody's head."""
         tube = mujoco.mjtGeom.mjGEOM_CYLINDER
         x, y = goal
@@ -304,7 +324,16 @@ class Stage(Offscreen):
         self.add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*GOAL_RGB, 0.75], glow=0.4, shadow=False)
         self.add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*GOAL_RGB, 0.22], glow=0.5, shadow=False)
 
-    def look(self, place, forward, up, half_height, near=NEAR, far=FAR, orthographic=False):
+    def look(
+        self,
+        place: ArrayLike,
+        forward: ArrayLike,
+        up: ArrayLike,
+        half_height: float,
+        near: float = NEAR,
+        far: float = FAR,
+        orthographic: bool = False,
+    ) -> None:
         """Aims the camera. half_height: half the picture's height [m], measured at the distance `near` unless
         orthographic."""
         for camera in self.scene.camera:
@@ -317,14 +346,16 @@ class Stage(Offscreen):
             if light.headlight:
                 light.pos, light.dir = place, forward
 
-    def look_down(self, centre, span):
+    def look_down(self, centre: Iterable[float], span: float) -> None:
         """Aims the camera at a map, north up: a square of side `span` [m] around `centre` (2,) [m]."""
         self.look([*centre, 60.0], [0, 0, -1], [0, 1, 0], span / 2, orthographic=True)
 
-    def render(self, page, view, centre=None, reach=None):
+    def render(
+        self, page: np.ndarray, view: Sequence[float], centre: Iterable[float] | None = None, reach: float | None = None
+    ) -> None:
         """Draws into the page's rectangle `view`, with shadows up to `reach` [m] around `centre` where given."""
-        context = self._context
-        assert context is not None  # until `close`
+        opened, context = self.current(), self._context  # raises ValueError once closed
+        assert context is not None
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = centre is not None
         if centre is not None:
             context.shadowClip = reach
@@ -334,19 +365,19 @@ class Stage(Offscreen):
         left, top, width, height = self.rect(view)
         rect = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), np.uint8)
-        with self.current():
+        with opened:
             mujoco.mjr_render(rect, self.scene, context)
             mujoco.mjr_readPixels(pixels, None, rect, context)
         page[top : top + height, left : left + width] = pixels[::-1]
 
-    def on_map(self, view, centre, span, place):
+    def on_map(self, view: Sequence[float], centre: ArrayLike, span: float, place: ArrayLike) -> np.ndarray:
         """Where `view`, a map of `look_down`, shows `place` (..., 2) [m]: (..., 2) pixels x, y of the page,
         continuous."""
         left, top, width, height = self.rect(view)
         offset = (np.asarray(place) - centre) / span
         return np.stack([left + width * (0.5 + offset[..., 0]), top + height * (0.5 - offset[..., 1])], axis=-1)
 
-    def write_label(self, page, view, text):
+    def write_label(self, page: np.ndarray, view: Sequence[float], text: str) -> None:
         """Writes what a view is into its corner."""
         left, top, _, _ = self.rect(view)
         unit = self.scale
@@ -355,7 +386,7 @@ class Stage(Offscreen):
         page[top:bottom, left:right] = (0.35 * page[top:bottom, left:right] + 0.65 * np.array(INK)).astype(np.uint8)
         write(page, text, (left + 8 * unit, top + height + 6.5 * unit), 0.44 * unit, PAPER)
 
-    def write_header(self, page, title, notes):
+    def write_header(self, page: np.ndarray, title: str, notes: Iterable[str]) -> None:
         """Writes `title` to the left, cut where it is too long, and `notes` to the right."""
         unit = self.scale
         base = 30 * unit
@@ -368,13 +399,15 @@ class Stage(Offscreen):
             title = title.rstrip(".")[:-1] + "..." if len(title) > 4 else title[:-1]
         write(page, title, (12 * unit, base), 0.66 * unit, INK, bold=True)
 
-    def write_reading(self, page, place, name, value):
+    def write_reading(self, page: np.ndarray, place: tuple[float, float], name: str, value: str) -> None:
         """Writes a reading, its name above its value, at `place` x, y."""
         x, y = place
         write(page, name, (x, y), 0.4 * self.scale, MUTED)
         write(page, value, (x, y + 21 * self.scale), 0.56 * self.scale, INK)
 
-    def draw_lcf_scale(self, page, left, right, top, framed=None):
+    def draw_lcf_scale(
+        self, page: np.ndarray, left: float, right: float, top: float, framed: tuple[float, float] | None = None
+    ) -> None:
         """Draws the colours of LCFs as a bar between the pixels `left` and `right`, its title above, its ticks below.
 
         framed: the range of LCFs (least, most) that gets a frame.
@@ -393,7 +426,7 @@ class Stage(Offscreen):
             low, high = x0 + (np.clip(framed, *LCF_RANGE) + 2) / 4 * (x1 - x0 - 1)
             line(page, [[low, y0], [high, y0], [high, y1], [low, y1]], INK, 1.6 * unit, closed=True)
 
-    def write_keys(self, page, left, base, keys):
+    def write_keys(self, page: np.ndarray, left: float, base: float, keys: Iterable[tuple[str, Any, str]]) -> None:
         """Writes the meaning of marks in a row from the pixel `left` on: (text, RGB, "line", "dot" or "ring") each."""
         unit = self.scale
         x, y = left, base - 4 * unit
@@ -410,7 +443,7 @@ class Stage(Offscreen):
             write(page, text, (x, base), 0.4 * unit, INK)
             x += measure(text, 0.4 * unit)[0] + 18 * unit
 
-    def draw_metres(self, canvas, metre, length=5):
+    def draw_metres(self, canvas: np.ndarray, metre: float, length: float = 5) -> None:
         """Draws the scale of a map, `length` [m] long, into the lower left corner of its picture; metre: a metre in
         pixels."""
         unit, height = self.scale, canvas.shape[0]
@@ -431,14 +464,22 @@ def _font(bold):
     return cv2.FONT_HERSHEY_DUPLEX if bold else cv2.FONT_HERSHEY_SIMPLEX
 
 
-def measure(text, size, bold=False):
+def measure(text: str, size: float, bold: bool = False) -> Sequence[int]:
     """Width and height [pixels] of `text`."""
     import cv2
 
     return cv2.getTextSize(text, _font(bold), size, _thick(size))[0]
 
 
-def write(image, text, place, size, colour, bold=False, halo=False):
+def write(
+    image: np.ndarray,
+    text: str,
+    place: Iterable[float],
+    size: float,
+    colour: Sequence[float],
+    bold: bool = False,
+    halo: bool = False,
+) -> None:
     """Writes `text` with its baseline's left end at `place`."""
     import cv2
 
@@ -455,35 +496,35 @@ def _sixteenths(points):
     return np.round(np.asarray(points) * 16).astype(np.int32)
 
 
-def line(image, points, colour, width, closed=False):
+def line(image: np.ndarray, points: ArrayLike, colour: Sequence[float], width: float, closed: bool = False) -> None:
     """Draws a line through `points` (N, 2), in pixels."""
     import cv2
 
     cv2.polylines(image, [_sixteenths(points)], closed, colour, _thick(width), cv2.LINE_AA, 4)
 
 
-def polygon(image, points, colour):
+def polygon(image: np.ndarray, points: ArrayLike, colour: Sequence[float]) -> None:
     """Fills the polygon with the corners `points` (N, 2), in pixels."""
     import cv2
 
     cv2.fillPoly(image, [_sixteenths(points)], colour, cv2.LINE_AA, 4)
 
 
-def disc(image, place, radius, colour):
+def disc(image: np.ndarray, place: Iterable[float], radius: float, colour: Sequence[float]) -> None:
     """Fills a circle around `place` x, y; in pixels."""
     import cv2
 
     cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, -1, cv2.LINE_AA, 4)
 
 
-def ring(image, place, radius, colour, width):
+def ring(image: np.ndarray, place: Iterable[float], radius: float, colour: Sequence[float], width: float) -> None:
     """Draws a circle around `place` x, y; in pixels."""
     import cv2
 
     cv2.circle(image, [round(16 * float(v)) for v in place], round(16 * radius), colour, _thick(width), cv2.LINE_AA, 4)
 
 
-def write_png(path, picture):
+def write_png(path: str | os.PathLike[str], picture: np.ndarray) -> pathlib.Path:
     """Saves `picture` as the PNG `path`, all or nothing; returns the path."""
     import cv2
 
@@ -491,7 +532,13 @@ def write_png(path, picture):
     return pathlib.Path(path)
 
 
-def write_webm(path, pictures, number, fps, progress=None):
+def write_webm(
+    path: str | os.PathLike[str],
+    pictures: Generator[np.ndarray, None, None],
+    number: int,
+    fps: float,
+    progress: Callable[[int, int], object] | None = None,
+) -> pathlib.Path:
     """Writes the `number` pictures of the generator `pictures`, all of one size, as the VP8 video `path` (.webm), which
     browsers play; returns the path.
 

@@ -8,6 +8,7 @@ import contextlib
 import ctypes
 import dataclasses
 import functools
+import os
 import pathlib
 import re
 import shutil
@@ -40,7 +41,9 @@ _UNWRITTEN = (  # without effect: sizes that a shape does not have (others are i
 _FILES = {"mesh": "meshdir", "hfield": "meshdir", "texture": "texturedir"}  # elements that name files, and their folder
 
 
-def write_scene(spec: mujoco.MjSpec, file, start: dict, sources=None) -> mujoco.MjModel:
+def write_scene(
+    spec: mujoco.MjSpec, file: str | os.PathLike[str], start: dict, sources: str | os.PathLike[str] | None = None
+) -> mujoco.MjModel:
     """Writes the scene `spec` as the MJCF `file` and returns its model; `spec` is no longer of use then.
 
     start: the fields of the keyframe START, as MjSpec.add_key has them. sources: the folder of the model that names
@@ -120,7 +123,7 @@ def _copied(spec, element, value, sources, folder):
     return f"{ASSETS}/{target.name}"
 
 
-def stand_at(spec: mujoco.MjSpec, people, lcf) -> None:
+def stand_at(spec: mujoco.MjSpec, people: np.ndarray, lcf: np.ndarray) -> None:
     """Makes the poses `people` (K, 3) [m, m, rad] those in which a viewer finds people when it opens `spec`, and
     colours them by their `lcf` (K,). What qpos means stays as it was."""
     for index, ((x, y, yaw), colour) in enumerate(zip(people, drawing.lcf_colour(lcf), strict=True)):
@@ -135,7 +138,7 @@ def stand_at(spec: mujoco.MjSpec, people, lcf) -> None:
             joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]  # the world's, in the turned body's frame
 
 
-def people_notes(people, goals, lcf) -> dict:
+def people_notes(people: np.ndarray, goals: np.ndarray, lcf: np.ndarray) -> dict:
     """What an episode's JSON says of people: at `people` (K, 3), on their way to `goals` (K, 2), with `lcf` (K,)."""
     return {
         "number": len(people),
@@ -151,7 +154,7 @@ def people_notes(people, goals, lcf) -> dict:
     }
 
 
-def box_notes(boxes) -> dict:
+def box_notes(boxes: np.ndarray) -> dict:
     """What an episode's JSON says of `boxes` (B, 5)."""
     return {
         "bodies": "box{b}; the first four are the outer walls",

@@ -18,7 +18,9 @@ import shutil
 import stat
 import sys
 import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
+from typing import Any
 
 from macid import start
 
@@ -35,7 +37,7 @@ class WriteError(UsageError, OSError):
     """A file or a folder can't be written: the disk is full, or the folder is gone. The message names it."""
 
 
-def named(path):
+def named(path: Any) -> str:
     """`path` as a message has it: in quotes, without its middle where it is long."""
     text = os.fsdecode(path)
     return f"'{text}'" if len(text) <= 200 else f"'{text[:100]}...{text[-90:]}'"
@@ -61,7 +63,7 @@ def _check_names(names, folder):
             raise OSError(errno.ENAMETOOLONG, f"a name in it has more than {most} bytes")
 
 
-def check_folder(path):
+def check_folder(path: str | os.PathLike[str]) -> pathlib.Path:
     """`path` as a Path, if it is a folder that can be written to or could be made. Makes nothing. Raises UsageError."""
     folder = there = pathlib.Path(path)
     new = []  # names of folders that are to be made
@@ -83,7 +85,7 @@ def check_folder(path):
     return folder
 
 
-def output_folder(path):
+def output_folder(path: str | os.PathLike[str]) -> pathlib.Path:
     """`path` as a writable folder, made if missing. Raises UsageError."""
     folder = check_folder(path)
     try:
@@ -112,7 +114,7 @@ def _target(path):
     return target, stat.S_IMODE(mode) & 0o777
 
 
-def check_file(path, what="file"):
+def check_file(path: str | os.PathLike[str], what: str = "file") -> pathlib.Path:
     """`path` as a Path, if it is a regular file that can be replaced, or one that could be made, with its folder.
 
     what: how messages call it. Links are followed. Makes nothing. Raises UsageError.
@@ -167,7 +169,7 @@ def _temporary(target, ending):
         os.close(handle)
 
 
-def remove_leftovers(folder, name=None):
+def remove_leftovers(folder: str | os.PathLike[str], name: str | None = None) -> None:
     """Removes the temporary files that killed runs left in `folder`, if it exists; with `name`, only this file's.
 
     A run that still goes on has locked its temporary files: they stay.
@@ -191,7 +193,7 @@ def remove_leftovers(folder, name=None):
 
 
 @contextlib.contextmanager
-def new_file(path, ending=""):
+def new_file(path: str | os.PathLike[str], ending: str = "") -> Iterator[tuple[Any, pathlib.Path]]:
     """A file to be filled in a `with`, by its handle or its path. It then becomes `path`, or is removed where that
     fails.
 
@@ -224,19 +226,19 @@ def new_file(path, ending=""):
         raise told from None
 
 
-def write_bytes(path, content):
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Writes `content` to the file `path`, all or nothing. Raises WriteError."""
     with new_file(path) as (handle, _), open(handle, "wb", closefd=False) as f:
         f.write(content)
 
 
-def write_json(path, content):
+def write_json(path: str | os.PathLike[str], content: Any) -> None:
     """Writes `content` as JSON to the file `path`, all or nothing. Raises WriteError."""
     write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 @contextlib.contextmanager
-def new_folder(path):
+def new_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
     """`path` as a writable folder, made if missing. Where the work in the `with` fails and leaves it empty, it is
     removed.
 
@@ -255,7 +257,9 @@ def new_folder(path):
 
 
 @contextlib.contextmanager
-def lock_folder(path, files=(), alone=()):
+def lock_folder(
+    path: str | os.PathLike[str], files: Iterable[str] = (), alone: Iterable[str] = ()
+) -> Iterator[pathlib.Path]:
     """`path` as a writable folder, made if missing, that this run has for itself in a `with`.
 
     files: the names of the files that will be written there, which are checked. Half-written files of killed runs are
@@ -287,7 +291,7 @@ def lock_folder(path, files=(), alone=()):
 
 
 @contextlib.contextmanager
-def whole_folder(path):
+def whole_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
     """A folder to be filled in a `with`, that then becomes `path`, or goes where that fails: nobody sees half of it.
 
     Raises UsageError where there are files in `path` already, or it can't be written.
@@ -328,7 +332,7 @@ def _remove_unlocked(folder):
             os.close(handle)
 
 
-def versions(*packages):
+def versions(*packages: str) -> dict[str, str]:
     """What results were made with: {name: version} of the `packages` that are installed, of Python, and the system."""
     found = {}
     for name in packages:
@@ -348,13 +352,13 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
         return super()._get_help_string(action)
 
 
-def one_line(text, most=4000):
+def one_line(text: str, most: int = 4000) -> str:
     """`text` as one line that every terminal can show, of at most `most` characters."""
     text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def start_mujoco(draws=True):
+def start_mujoco(draws: bool = True) -> None:
     """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL at that moment. Raises UsageError. A command that
     does not draw goes on without OpenGL where this backend can't be had, or without MuJoCo where it isn't installed."""
     try:
@@ -421,7 +425,7 @@ class _Stream:
             os.close(nowhere)
 
 
-def run_command(program, main):
+def run_command(program: str, main: Callable[[], int]) -> int:
     """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
 
     Results are written even where nothing can be printed; the exit code is then 2, or 1 without a word where nobody
@@ -432,7 +436,7 @@ def run_command(program, main):
         try:
             code = _answer(program, main)
         except SystemExit as end:  # of the parser, after its help
-            ended, code = end, end.code
+            ended, code = end, int(bool(end.code))
         output.flush()
         errors.flush()
         if not code and output.problem:

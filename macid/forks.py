@@ -30,7 +30,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_note)
 
 
-def refuse(made=None):
+def refuse(made: int | None = None) -> None:
     """Raises RuntimeError in a process that can't go on: it would wait for ever for threads that are not there.
 
     Such a process was forked after JAX began its threads, or after the process with the id `made` made the object that

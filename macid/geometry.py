@@ -19,54 +19,54 @@ def _namespace(array):
     return array.__array_namespace__()
 
 
-def wrap_angle(angle):
+def wrap_angle(angle: Array) -> Array:
     """`angle` [rad], any shape, brought into [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-def heading(yaw):
+def heading(yaw: Array) -> Array:
     """The unit vector (..., 2) ahead of bodies at `yaw` (...) [rad]."""
     xp = _namespace(yaw)
     return xp.stack([xp.cos(yaw), xp.sin(yaw)], axis=-1)
 
 
-def from_frame(vector, ahead):
+def from_frame(vector: Array, ahead: Array) -> Array:
     """`vector` (..., 2) of a frame whose x axis is the unit vector `ahead` (..., 2): seen from outside, (..., 2)."""
     x, y, c, s = vector[..., 0], vector[..., 1], ahead[..., 0], ahead[..., 1]
     return _namespace(vector).stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
-def to_frame(vector, ahead):
+def to_frame(vector: Array, ahead: Array) -> Array:
     """`vector` (..., 2) seen in a frame whose x axis is the unit vector `ahead` (..., 2): (..., 2)."""
     x, y, c, s = vector[..., 0], vector[..., 1], ahead[..., 0], ahead[..., 1]
     return _namespace(vector).stack([c * x + s * y, c * y - s * x], axis=-1)
 
 
-def rotate(vector, angle):
+def rotate(vector: Array, angle: Array) -> Array:
     """`vector` (..., 2) turned by `angle` (...) [rad], counter-clockwise. Body frame to world frame for a body's
     yaw."""
     return from_frame(vector, heading(angle))
 
 
-def yaw_quaternion(yaw):
+def yaw_quaternion(yaw: Array) -> Array:
     """Quaternion (..., 4), w first, of a turn by `yaw` (...) [rad] about the vertical."""
     xp = _namespace(yaw)
     zero = xp.zeros_like(yaw)
     return xp.stack([xp.cos(yaw / 2), zero, zero, xp.sin(yaw / 2)], axis=-1)
 
 
-def to_body(vector, yaw):
+def to_body(vector: Array, yaw: Array) -> Array:
     """World-frame `vector` (..., 2) seen from bodies at `yaw` (...) [rad]: (..., 2), body frame."""
     return to_frame(vector, heading(yaw))
 
 
-def norm(vector):
+def norm(vector: Array) -> Array:
     """Length (...) of `vector` (..., 2)."""
     xp = _namespace(vector)
     return xp.sqrt(vector[..., 0] ** 2 + vector[..., 1] ** 2)
 
 
-def pairs_within(position, distance):
+def pairs_within(position: Array, distance: float) -> Array:
     """Which of the points `position` (..., K, 2) are at most `distance` apart: (..., K, K) bool, False for a point and
     itself."""
     xp = _namespace(position)
@@ -75,19 +75,19 @@ def pairs_within(position, distance):
     return (squared <= distance**2) & ~xp.eye(position.shape[-2], dtype=bool)
 
 
-def in_box_frame(point, boxes):
+def in_box_frame(point: Array, boxes: Array) -> Array:
     """`point` (..., 2) in the frame of each of `boxes` (..., B, 5): (..., B, 2) [m]."""
     return to_body(point[..., None, :] - boxes[..., :2], boxes[..., 4])
 
 
-def point_box_distance(point, boxes):
+def point_box_distance(point: Array, boxes: Array) -> Array:
     """Distance [m] from `point` (..., 2) to each of `boxes` (..., B, 5): (..., B); 0 inside."""
     xp = _namespace(point)
     outside = xp.abs(in_box_frame(point, boxes)) - boxes[..., 2:4]
     return norm(xp.maximum(outside, xp.zeros_like(outside)))
 
 
-def box_corners(boxes):
+def box_corners(boxes: Array) -> Array:
     """Corners of `boxes` (..., B, 5), counter-clockwise: (..., B, 4, 2), world frame [m]."""
     xp = _namespace(boxes)
     sign = xp.asarray([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], dtype=boxes.dtype)
@@ -95,7 +95,7 @@ def box_corners(boxes):
     return rotate(local, boxes[..., None, 4]) + boxes[..., None, :2]
 
 
-def box_box_gap(box, boxes):
+def box_box_gap(box: Array, boxes: Array) -> Array:
     """Distance [m] between the rectangle `box` (..., 5) and each of `boxes` (..., B, 5): (..., B); 0 where they
     overlap.
 
@@ -124,7 +124,7 @@ def box_box_gap(box, boxes):
     return xp.where(apart, gap, xp.zeros_like(gap))
 
 
-def ray_disc_distance(origin, direction, centre, radius):
+def ray_disc_distance(origin: Array, direction: Array, centre: Array, radius: Array) -> Array:
     """How far rays run before they meet discs.
 
     origin (..., 2), unit direction (..., R, 2), centre (..., N, 2), radius () or (..., N), one frame [m].
@@ -139,7 +139,7 @@ def ray_disc_distance(origin, direction, centre, radius):
     return xp.where((discriminant >= 0) & (distance > 0), distance, xp.full_like(distance, NO_HIT))
 
 
-def first_disc(origin, direction, centre, radius):
+def first_disc(origin: Array, direction: Array, centre: Array, radius: Array) -> tuple[Array, Array]:
     """How far rays run before they meet a disc (..., R) [m], infinity for a miss, and which disc: its index (..., R).
 
     Arguments as in `ray_disc_distance`. The distance falls short by at most N parts in 2^23 (float32).
@@ -155,7 +155,7 @@ def first_disc(origin, direction, centre, radius):
     return (least & ~mask).view(distance.dtype), least & mask
 
 
-def ray_box_distance(origin, direction, boxes):
+def ray_box_distance(origin: Array, direction: Array, boxes: Array) -> Array:
     """How far rays run before they meet boxes, by the slab method.
 
     origin (..., 2), unit direction (..., R, 2), boxes (..., B, 5), one frame [m].

@@ -6,6 +6,7 @@ The origin is the centre of the map. A layout is frozen; whatever is drawn comes
 import dataclasses
 import functools
 import numbers
+import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
@@ -104,7 +105,7 @@ class Layout:
         return np.concatenate([outer_walls(self.size), self.obstacles])
 
 
-def outer_walls(size):
+def outer_walls(size: float) -> np.ndarray:
     """The four walls around a map of side `size` [m]: (4, 5). Their inner faces are the map's edge."""
     far, half, thin = size / 2 + WALL_THICKNESS / 2, size / 2 + WALL_THICKNESS, WALL_THICKNESS / 2
     return np.array(
@@ -112,14 +113,21 @@ def outer_walls(size):
     )
 
 
-def person_count(density, size):
+def person_count(density: float, size: float) -> int:
     """How many pedestrians a share `density` in [0, 1] of MAX_PERSON_DENSITY is on a map of side `size` [m]."""
     if not 0 <= density <= 1:
         raise ValueError(f"pedestrian_density must be between 0 and 1, not {density}.")
     return round(density * MAX_PERSON_DENSITY * size**2)
 
 
-def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random", half=(0.5, 2.0)):
+def random_layout(
+    rng: np.random.Generator,
+    number: int,
+    size: float = MAP_SIZE,
+    passage: float = 1.6,
+    name: str = "random",
+    half: tuple[float, float] = (0.5, 2.0),
+) -> Layout:
     """`number` boxes at any yaw, at least `passage` [m] from each other and from the walls. half: the range of half a
     box's sides [m].
 
@@ -139,7 +147,7 @@ def random_layout(rng, number, size=MAP_SIZE, passage=1.6, name="random", half=(
     return Layout(size, boxes[4:], name=name)
 
 
-def maze_layout(rng, density, size=MAP_SIZE):
+def maze_layout(rng: np.random.Generator, density: float, size: float = MAP_SIZE) -> Layout:
     """A maze-like map: the first share `density` in [0, 1] of the walls of a spanning-tree maze, in a seeded order.
 
     The cells of a grid are joined by a random spanning tree (Kruskal); walls stand between cells that the tree does
@@ -174,7 +182,7 @@ def maze_layout(rng, density, size=MAP_SIZE):
     return Layout(size, np.reshape(shown, (-1, 5)), routed=bool(shown), name=f"maze-{density:g}")
 
 
-def max_maze_walls(size):
+def max_maze_walls(size: float) -> int:
     """The number of walls of a full maze on a map of side `size` [m]: interior edges that a spanning tree leaves."""
     cells = max(1, round(size / CORRIDOR))
     return 2 * cells * (cells - 1) - (cells**2 - 1)
@@ -219,7 +227,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     pedestrians: Annotated[int, Meta(ge=0, le=2000, description="a whole number from 0 to 2000")] | None = None
 
 
-def load_layout(file):
+def load_layout(file: str | os.PathLike[str]) -> Layout:
     """A layout from a TOML file with `size` and any of `obstacles` (rows of BOX_COLUMNS), `walls` (rows x0, y0, x1, y1
     of walls 0.3 m thick), `regions` (a table of REGIONS, each rows of BOX_COLUMNS), `routes` (each a list of points),
     `name`, `routed` (default: whether there are walls), `pedestrians`. Raises UsageError, naming what is wrong."""
@@ -240,7 +248,7 @@ def load_layout(file):
         raise UsageError(f"map {shown_path(file)}: {error}") from None
 
 
-def wall_box(wall):
+def wall_box(wall: ArrayLike) -> np.ndarray:
     """The box (5,) of a wall (x0, y0, x1, y1) [m], WALL_THICKNESS thick, its ends half of that longer."""
     ends = _numbers(wall)
     if ends.shape != (4,) or not np.isfinite(ends).all():
@@ -259,7 +267,7 @@ def _numbers(rows):
     return array.astype(float) if array.dtype.kind in "iuf" else np.array(np.nan)
 
 
-def load_level(level):
+def load_level(level: int | str) -> Layout:
     """A level, frozen in assets/layouts. Raises ValueError, naming the valid ones.
 
     1 to 4: the paper's, 25, 50, 100 or 200 people on 50 x 50 m; "v1" to "v4": as many on maps for validation; a name of
@@ -271,7 +279,7 @@ def load_level(level):
     return load_layout(assets.path("layouts", f"lv{level}.toml" if level in LEVELS else f"{level}.toml"))
 
 
-def clearance(points, boxes):
+def clearance(points: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Distance [m] from `points` (..., 2) to the nearest of `boxes` (B, 5): (...)."""
     return geometry.point_box_distance(points, boxes).min(axis=-1)
 
@@ -285,7 +293,7 @@ def _draw(rng, number, half, region):
     return box[:, :2] + geometry.rotate(rng.uniform(-1.0, 1.0, (number, 2)) * box[:, 2:4], box[:, 4])
 
 
-def most_clearance(layout, region=None):
+def most_clearance(layout: Layout, region: np.ndarray | None = None) -> float:
     """The greatest distance from obstacles [m] that a person's centre can have on `layout`, in the boxes `region` (N,
     5) if given, to about a centimetre; 0 where there is no place."""
     region = np.array([[0.0, 0.0, layout.size / 2, layout.size / 2, 0.0]]) if region is None else region

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import os
 import pathlib
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -40,7 +41,7 @@ class _Occupancy(msgspec.Struct):
     mode: str = "trinary"
 
 
-def map_names():
+def map_names() -> list[str]:
     """Names of the maps in assets/maps."""
     return sorted(assets.names("maps", ".toml") + assets.names("maps", ".yaml"))
 
@@ -71,7 +72,7 @@ def _load(name):
 MAPS: Kind[Layout] = Kind("map", shipped=map_names, read=_load, files=_SUFFIXES)
 
 
-def map_files(name):
+def map_files(name: str) -> list[pathlib.Path]:
     """The files of a map that is given as a file: it and its image; none of one of `map_names()`. Raises UsageError."""
     path = pathlib.Path(name)
     if path.suffix not in _SUFFIXES:
@@ -108,7 +109,7 @@ def _image(file, fields):
     return file.parent / fields.image
 
 
-def load_occupancy(file):
+def load_occupancy(file: str | os.PathLike[str]) -> Layout:
     """The Layout of an occupancy image described by the YAML `file`: image, resolution [m], and map_server's origin,
     negate, occupied_thresh, free_thresh, mode.
 
@@ -177,7 +178,7 @@ def _clipped(corners, axis, sign, edge):
     return np.reshape(found, (-1, 2))
 
 
-def rectangles(solid, resolution):
+def rectangles(solid: np.ndarray, resolution: float) -> np.ndarray:
     """Boxes (B, 5) [m] that cover the cells `solid` (rows, columns) bool, and the square around them outside them.
 
     The origin is the centre. Runs of cells along a row are joined with equal runs in the rows above. Where that makes

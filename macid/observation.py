@@ -17,7 +17,8 @@ reversed.
 import math
 
 from macid import geometry
-from macid.state import RADIUS
+from macid.geometry import Array
+from macid.state import RADIUS, CrowdState
 
 RAYS = 12
 RAY_RANGE = 7.0  # [m]
@@ -26,7 +27,7 @@ SIZE = sum(COLUMNS.values())
 _RAYS = [(math.cos(angle), math.sin(angle)) for angle in (2 * math.pi * ray / RAYS for ray in range(RAYS))]
 
 
-def cast_rays(state, boxes):
+def cast_rays(state: CrowdState, boxes: Array) -> tuple[Array, Array]:
     """Distances (..., K, RAYS) [m] to the nearest person or box, and the relative velocity (..., K, RAYS, 2), body
     frame.
 
@@ -45,7 +46,7 @@ def cast_rays(state, boxes):
     return distance, xp.where((distance < RAY_RANGE)[..., None], relative, xp.zeros_like(relative))
 
 
-def observe(state, boxes, goals):
+def observe(state: CrowdState, boxes: Array, goals: Array) -> Array:
     """Observations (..., K, SIZE) of CrowdState `state` (..., K) among `boxes` (..., B, 5) with `goals` (..., K, 2)
     [m]."""
     xp = state.position.__array_namespace__()

@@ -1,6 +1,7 @@
 """Occupancy images, as ROS's map_server reads them: which of their cells are solid. Unknown cells are."""
 
 import io
+import os
 import re
 import warnings
 
@@ -21,7 +22,7 @@ _BITS = {"1": 1, "4": 1, "2": 1, "5": 1, "3": 3, "6": 3}  # channels of P1 to P6
 _BROKEN = (ValueError, OSError, SyntaxError, EOFError, LookupError, ArithmeticError, TypeError, AttributeError)
 
 
-def solid_cells(path, mode, negate, free_thresh):
+def solid_cells(path: str | os.PathLike[str], mode: str, negate: bool | int, free_thresh: float) -> np.ndarray:
     """Which cells of the image `path` are not known to be free: (rows, columns) bool, the image's lowest row first.
 
     As map_server has it, a cell's brightness is the mean of red, green and blue, from 0 to 1, and its occupancy is 1

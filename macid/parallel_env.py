@@ -5,7 +5,8 @@ import dataclasses
 import numbers
 import types
 import warnings
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import jax
@@ -21,6 +22,9 @@ from macid.observation import RAY_RANGE, RAYS, SIZE, observe
 from macid.pedestrians.learned import to_command
 from macid.policy import ACTIONS, to_velocity
 from macid.reward import WEIGHTS, RewardWeights
+
+if TYPE_CHECKING:
+    from macid.watch import Recording
 
 try:
     from pettingzoo import ParallelEnv
@@ -130,7 +134,7 @@ class CrowdParallelEnv(ParallelEnv):
             made.close()
         return made
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         self.crowd = self._episode = self._advance_jitted = self._look_jitted = None
         self._moments = []
@@ -140,23 +144,23 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
         forks.refuse()
 
-    def observation_space(self, agent):
+    def observation_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (41,) of `agent`; unbounded where contacts can push people faster than they walk."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent):
+    def action_space(self, agent: str) -> gymnasium.spaces.Space:
         """The Box (2,) of `agent`."""
         return self.action_spaces[agent]
 
     @property
-    def lcf(self):
+    def lcf(self) -> Any:
         """Everybody's LCF, {agent: number}, to read. Set it at any time: to a number for all, to a range (least, most)
         from which each draws, or to {agent: number} for some agents."""
         self._check_begun()
         return types.MappingProxyType(dict(zip(self.possible_agents, self._lcf.tolist(), strict=True)))
 
     @lcf.setter
-    def lcf(self, value):
+    def lcf(self, value: Any) -> None:
         self._check_begun()
         lcf = self._lcf.copy()
         if isinstance(value, dict):
@@ -177,7 +181,9 @@ class CrowdParallelEnv(ParallelEnv):
         self._lcf = lcf
         self._episode = self._episode._replace(lcf=jnp.asarray(lcf[None]))
 
-    def reset(self, seed=None, options=None):
+    def reset(
+        self, seed: int | None = None, options: dict | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
         """Begins an episode: observations and infos, {agent: ...}. Unknown options are told by a warning."""
         self._check_usable()
         if seed is not None and not _is_whole(seed, 0, 2**62 - 1):
@@ -206,7 +212,7 @@ class CrowdParallelEnv(ParallelEnv):
         self._moments = [moment]
         return self._by_agent(np.array(observed[0])), self._infos(moment)
 
-    def step(self, actions):
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict, dict, dict, dict, dict]:
         """One decision of all `agents`: {agent: (2,)}; actions of agents that have left are ignored.
 
         Returns observations, rewards, terminations, truncations and infos, {agent: ...}, of the agents that acted.
@@ -232,7 +238,7 @@ class CrowdParallelEnv(ParallelEnv):
         self.agents = [agent for agent in self.agents if not (arrived | late)[self._index[agent]]]
         return result
 
-    def recording(self, name="agents"):
+    def recording(self, name: str = "agents") -> "Recording":
         """The episode so far, for `macid.watch.film(recording, path)`. name: the pedestrians' name, for the header."""
         from macid.watch import Recording
 
@@ -297,7 +303,7 @@ class CrowdParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("Call reset first.")
 
 
-def observation_bounds(size):
+def observation_bounds(size: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and most (41,) that an observation on a map of side `size` [m] can hold, float32.
 
     Goals lie on the map and rays end at 7 m. Speeds, yaw rates and relative velocities have no bound: people walk at up

@@ -8,9 +8,11 @@ import dataclasses
 import functools
 import io
 import math
+import os
 import pathlib
 import sys
-from typing import Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -18,6 +20,7 @@ import numpy as np
 from macid import arrays, assets, observation
 from macid.documents import convert, parse, read_bytes
 from macid.files import UsageError, write_bytes, write_json
+from macid.geometry import Array
 from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
 
 HIDDEN = (64, 64, 64)
@@ -32,7 +35,7 @@ _GOAL_SCALE = math.log1p(24.0)
 _RAYS, _DISTANCES = slice(5, observation.SIZE), slice(5, observation.SIZE, 3)  # columns
 
 
-def features(observed):
+def features(observed: Array) -> Array:
     """What the networks see of observations (..., 41): (..., FEATURES), each of the order of 1.
 
     The goal's direction (x, y) and log distance, speed, yaw rate, collision, and a ray's closeness 1 - d / 7 m and
@@ -49,13 +52,13 @@ def features(observed):
     return xp.concatenate([goal / (distance + 1e-6), xp.log1p(distance) / _GOAL_SCALE, rest, rays], axis=-1)
 
 
-def inputs(seen, lcf):
+def inputs(seen: Array, lcf: Array) -> Array:
     """Network inputs (..., N + 1): what is `seen` (..., N), and the LCF (...), as a share of the greatest."""
     xp = seen.__array_namespace__()
     return xp.concatenate([seen, (lcf / MAX_LCF)[..., None]], axis=-1)
 
 
-def as_observed(observed):
+def as_observed(observed: Array) -> Array:
     """The 41 numbers as they are, as the paper feeds them."""
     return observed
 
@@ -64,7 +67,7 @@ def as_observed(observed):
 INPUTS = {"features": (features, FEATURES), "observation": (as_observed, observation.SIZE)}
 
 
-def mlp(layers, x):
+def mlp(layers: Sequence[tuple[Array, Array]], x: Array) -> Array:
     """A tanh network with a linear last layer: `layers` is [(weight (in, out), bias (out,)), ...], x (..., in)."""
     xp = x.__array_namespace__()
     for weight, bias in layers[:-1]:
@@ -73,7 +76,7 @@ def mlp(layers, x):
     return x @ weight + bias
 
 
-def to_velocity(action):
+def to_velocity(action: Array) -> Array:
     """(v, w) (..., 2) [m/s, rad/s] of network outputs `action` (..., 2): clipped to [-1, 1]; -1 stands, +1 is top
     speed."""
     xp = action.__array_namespace__()
@@ -97,38 +100,38 @@ class Policy:
     def __post_init__(self):
         check_layers(self.layers)
 
-    def __call__(self, observed, lcf):
+    def __call__(self, observed: Array, lcf: Array) -> Array:
         """(v, w) (..., 2) [m/s, rad/s] for observations (..., 41) and LCFs (...); NumPy or JAX, as the input is.
 
         Raises ValueError as `understood` does.
         """
         return to_velocity(self.action(observed, lcf))
 
-    def action(self, observed, lcf):
+    def action(self, observed: Array, lcf: Array) -> Array:
         """The network's outputs (..., 2), unclipped, as `to_velocity` reads them."""
         return self.act(*understood(observed, lcf))
 
-    def act(self, observed, lcf):
+    def act(self, observed: Array, lcf: Array) -> Array:
         """`action` for float32 observations (..., 41) that `observe` made and for LCFs (...), without checking
         either."""
         lcf = observed.__array_namespace__().broadcast_to(lcf, observed.shape[:-1])
         return mlp(self.layers, inputs(self.see(observed), lcf))
 
     @property
-    def see(self):
+    def see(self) -> Callable[[Array], Array]:
         """What the network sees of an observation: a function of INPUTS."""
         return INPUTS[self.recipe.get("inputs", "features")][0]
 
     @property
-    def period(self):
+    def period(self) -> float:
         """The time between decisions in the policy's training [s]; a physics step where the recipe doesn't tell."""
         return self.recipe.get("period", PHYSICS_STEP)
 
-    def save(self, path):
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
         write_network(path, self.layers, self.recipe)
 
-    def to_torch(self):
+    def to_torch(self) -> Any:
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch.
 
         It refuses what `understood` refuses, and reads the rest alike; where torch compiles, traces or maps it, nothing
@@ -203,7 +206,7 @@ class Policy:
         return TorchPolicy()
 
 
-def understood(observed, lcf):
+def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     """Observations (..., 41) and LCFs (...) as a policy takes them, float32 arrays, NumPy or JAX, as `observed` is.
 
     observed, lcf: arrays, lists or numbers; flags and whole numbers count as numbers. A ray's distance of RAY_RANGE or
@@ -311,12 +314,12 @@ def _check_lcf(lcf):
         raise ValueError(f"An LCF is a number from -{MAX_LCF:g} to {MAX_LCF:g}, not {lcf[~good].flat[0]:g}.")
 
 
-def policy_names():
+def policy_names() -> list[str]:
     """Names of the shipped policies: `macid-0` is method macid's seed 0; `macid` alone means its first seed."""
     return assets.names("policies", ".npz")
 
 
-def load_policy(name):
+def load_policy(name: str) -> Policy:
     """The policy `name`: a shipped one ("macid", "macid-3"), or a .npz file. Raises ValueError, naming the valid
     ones."""
     path = pathlib.Path(name)
@@ -370,7 +373,7 @@ class _Recipe(msgspec.Struct):
             raise ValueError("lcf_mean and lcf_std come together")
 
 
-def check_layers(layers):
+def check_layers(layers: Sequence[tuple[Array, Array]]) -> None:
     """Raises ValueError unless `layers`, [(weight (in, out), bias (out,)), ...], follow on each other, finite."""
     if not 1 <= len(layers) <= MOST_LAYERS:
         raise ValueError(f"a network has 1 to {MOST_LAYERS} layers, not {len(layers)}")
@@ -393,7 +396,7 @@ def check_layers(layers):
         width = weight.shape[1]
 
 
-def write_network(path, layers, recipe):
+def write_network(path: str | os.PathLike[str], layers: Sequence[tuple[Array, Array]], recipe: dict[str, Any]) -> None:
     """Writes `path`.npz (weights and biases of `layers`) and `path`.json (`recipe`), each all or nothing."""
     path = pathlib.Path(path)
     found = {}
@@ -405,7 +408,7 @@ def write_network(path, layers, recipe):
     write_bytes(path.with_suffix(".npz"), buffer.getvalue())
 
 
-def read_network(path):
+def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
     """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is
     none."""
     path = pathlib.Path(path)

@@ -37,13 +37,13 @@ def individual_reward(
 NEIGHBOR_DISTANCE = 5.0  # d_n of eq. 1 [m]
 
 
-def neighbors(position):
+def neighbors(position: Array) -> Array:
     """Who neighbours whom, eq. 1: (..., K, K) bool for people at `position` (..., K, 2) [m]. Nobody neighbours
     himself."""
     return geometry.pairs_within(position, NEIGHBOR_DISTANCE)
 
 
-def neighborhood_mean(values, near):
+def neighborhood_mean(values: Array, near: Array) -> Array:
     """Mean of `values` (..., K, F) over each person's neighbours `near` (..., K, K): (..., K, F); 0 without neighbours.
 
     Eq. 1 is this mean of the neighbours' individual rewards.

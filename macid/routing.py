@@ -1,8 +1,10 @@
 """Ways through a map: waypoints on a shortest path of its occupancy grid."""
 
 import functools
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse, spatial
 from scipy.sparse import csgraph
 
@@ -21,7 +23,7 @@ class NoFreeSpace(ValueError):
     """A map has no room for what was to be put on it, or no way to where it is to go."""
 
 
-def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
+def occupancy_grid(layout: Any, resolution: float = RESOLUTION, radius: float = RADIUS) -> np.ndarray:
     """Whether a disc of `radius` [m] at each cell's centre touches something: (rows, columns) bool.
 
     Row i, column j is centred at x = (j + 1/2) resolution - size/2, y = (i + 1/2) resolution - size/2.
@@ -46,7 +48,7 @@ def occupancy_grid(layout, resolution=RESOLUTION, radius=RADIUS):
     return occupied
 
 
-def grid_graph(occupied):
+def grid_graph(occupied: np.ndarray) -> tuple[np.ndarray, sparse.csr_matrix]:
     """The moves over a grid: `number` (rows, columns) of each free cell, -1 where `occupied` (rows, columns), and the
     sparse graph (N, N) of moves to the eight neighbours, to and fro, without cutting of corners, with their lengths
     [cells].
@@ -68,7 +70,7 @@ def grid_graph(occupied):
     return number[1:-1, 1:-1], sparse.csr_matrix((lengths, neighbours[joined], ends), shape=(len(rows),) * 2)
 
 
-def shortest(graph, source, target, reach):
+def shortest(graph: sparse.csr_matrix, source: int, target: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Lengths (N,) of the shortest ways from `source` over a sparse `graph` (N, N), and the last node before each,
     (N,).
 
@@ -100,7 +102,7 @@ def _parts_of(counts, most):
         yield slice(start, len(counts))
 
 
-def lines_are_free(start, goals, boxes, radius=RADIUS):
+def lines_are_free(start: np.ndarray, goals: np.ndarray, boxes: np.ndarray, radius: float = RADIUS) -> np.ndarray:
     """Whether a disc of `radius` [m] can move straight from `start` (2,) to each of `goals` (M, 2) among `boxes` (B,
     5).
 
@@ -138,7 +140,7 @@ def _barred(starts, goals, boxes, radius):
     return barred
 
 
-def refuse_blocked_routes(layout):
+def refuse_blocked_routes(layout: Any) -> None:
     """Raises NoFreeSpace for a route of `layout` that has a point without room for a person, or points between which no
     person can walk."""
     for number, route in enumerate(layout.routes):
@@ -191,7 +193,7 @@ def _parts(layout):
 class Router:
     """Shortest paths on one layout. The grid's graph is made on first need: straight ways don't need it."""
 
-    def __init__(self, layout, radius=RADIUS):
+    def __init__(self, layout: Any, radius: float = RADIUS):
         self.layout, self.radius = layout, radius
         self._boxes = layout.boxes
 
@@ -216,7 +218,7 @@ class Router:
         """The connected part of the map that each free cell belongs to: (N,)."""
         return csgraph.connected_components(self._grid[1], directed=False)[1]
 
-    def joins(self, starts, goals):
+    def joins(self, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Whether there is a way from each of `starts` (N, 2) to its own of `goals` (N, 2): (N,) bool. Where there is,
         `path` finds one."""
         starts, goals = np.broadcast_arrays(np.asarray(starts, dtype=float), np.asarray(goals, dtype=float))
@@ -226,14 +228,14 @@ class Router:
             joined[row] = lines_are_free(starts[row], goals[row, None], self._boxes, self.radius)[0]
         return joined
 
-    def path(self, start, goal):
+    def path(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Waypoints (W, 2) [m] from `start` (2,) to `goal` (2,), the goal last, pulled straight where the view is free.
 
         Raises macid.layout.NoFreeSpace when the goal can't be reached.
         """
         return self.paths([start], [goal])[0]
 
-    def paths(self, starts, goals):
+    def paths(self, starts: ArrayLike, goals: ArrayLike) -> list[np.ndarray]:
         """What `path` finds from each of `starts` (N, 2) to its own of `goals` (N, 2): a list of N arrays.
 
         Quicker than one by one."""
@@ -288,7 +290,7 @@ class Router:
         return [np.array([*passed, *way]) for passed, way in zip(corners, ways, strict=True)]
 
 
-def rest_of_route(route, place, end):
+def rest_of_route(route: np.ndarray, place: np.ndarray, end: np.ndarray) -> np.ndarray:
     """What is left of `route` (W, 2) [m] for a person who stands at `place` (2,) and walks to the route's end that is
     nearer to `end` (2,): (V, 2)."""
     if ((route[0] - end) ** 2).sum() < ((route[-1] - end) ** 2).sum():

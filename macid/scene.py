@@ -11,6 +11,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
+from macid.layout import Layout
 from macid.state import HEIGHT, PHYSICS_STEP, RADIUS, RESPONSE
 
 # Contact bits: (contype, conaffinity) of each shape. Two shapes touch where one's type meets the other's affinity.
@@ -108,7 +109,7 @@ def base_spec(size: float) -> mujoco.MjSpec:
     return spec
 
 
-def add_people(spec, number, config=PersonConfig()):
+def add_people(spec: mujoco.MjSpec, number: int, config: PersonConfig = PersonConfig()) -> None:
     """Adds `number` pedestrians, `person0` first, to a spec that has no joint yet. They start at the origin."""
     if spec.joints:
         raise ValueError("Pedestrians come first: add them before anything else that has joints.")
@@ -158,7 +159,7 @@ def add_people(spec, number, config=PersonConfig()):
         )
 
 
-def add_boxes(spec, boxes, movable=False):
+def add_boxes(spec: mujoco.MjSpec, boxes: np.ndarray, movable: bool = False) -> None:
     """Adds `boxes` (B, 5), the first four as outer walls, each in a body of its own: `box0`, `box1`, ...
 
     movable: as mocap bodies, whose pose is part of the state (a static geom that moves at run time would leave
@@ -180,7 +181,7 @@ def add_boxes(spec, boxes, movable=False):
         )
 
 
-def crowd_spec(layout, number, config=PersonConfig()):
+def crowd_spec(layout: Layout, number: int, config: PersonConfig = PersonConfig()) -> mujoco.MjSpec:
     """The scene of a crowd alone: `number` pedestrians on `layout`, whose boxes stand still.
 
     Solver limits are for MJX, which unrolls its iterations and keeps a row for each possible contact; MuJoCo's own

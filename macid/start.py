@@ -9,6 +9,10 @@ import os
 import signal
 import sys
 
+TYPE_CHECKING = False  # as typing has it, which takes long to load
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 INTERRUPTED = 130  # exit code after Ctrl-C
 _ANSWER = 1.0  # Python may be busy so long in compiled code, as while XLA compiles, before Ctrl-C ends the process [s]
 _CLEANING = 15.0  # interrupted work has so long to close files and to remove what is half written [s]
@@ -27,6 +31,8 @@ class _Interrupts:
     that half-written files are removed. Within `deferred` it waits for a place to save. A second Ctrl-C ends the
     process.
     """
+
+    worth: "Callable[[], bool] | None"
 
     def __init__(self, program):
         self.program, self.came, self.raised, self.raises, self.worth = program, 0, False, False, None
@@ -66,7 +72,7 @@ class _Interrupts:
 _interrupts = None  # of this process's command
 
 
-def run(program, main):
+def run(program: str, main: "Callable[[], int]") -> int:
     """The exit code of `main()`, the command `program` of this process; Ctrl-C is one line and exit code 130
     throughout.
 
@@ -154,12 +160,12 @@ def _unraisable(what):
         sys.__unraisablehook__(what)
 
 
-def interrupted():
+def interrupted() -> bool:
     """Whether Ctrl-C was raised in this command. An error that follows is its consequence."""
     return _interrupts is not None and _interrupts.raised
 
 
-def cleaning_up():
+def cleaning_up() -> None:
     """From now on, Ctrl-C is raised as KeyboardInterrupt, as there are files to close and to remove."""
     if _interrupts is not None:
         _interrupts.raises = True
@@ -173,7 +179,7 @@ class deferred:
     raised. A second Ctrl-C ends the process as ever. In another thread than the main one nothing is deferred.
     """
 
-    def __init__(self, worth=lambda: True):
+    def __init__(self, worth: "Callable[[], bool]" = lambda: True):
         self._worth, self._came = worth, False
 
     def __enter__(self):
@@ -199,7 +205,7 @@ class deferred:
         self._came = True
 
 
-def others():
+def others() -> list[str]:
     """Names of other installed packages that bring a `bson` of their own, as pymongo does."""
     from importlib import metadata
 
@@ -211,7 +217,7 @@ def others():
     return sorted(found)
 
 
-def shadowed():
+def shadowed() -> str | None:
     """What is wrong with the package `bson`, in a sentence; None where it is ours. The package is not imported."""
     from importlib.util import find_spec
     from pathlib import Path
@@ -238,12 +244,12 @@ def shadowed():
     return f"bson is '{origin}', of {whose}, which stands before {_PACKAGE}'s in '{ours.parent}'"
 
 
-def bson():
+def bson() -> int:
     """The console script `bson`."""
     return _whole(run("bson", bson_command))
 
 
-def bson_command():
+def bson_command() -> int:
     """Runs the command `bson` with this process's words, where `bson` is ours; otherwise says what to do. Returns the
     exit code."""
     from importlib import import_module, util
@@ -263,12 +269,12 @@ def bson_command():
     return doctor.command()
 
 
-def macid():
+def macid() -> int:
     """The console script `macid`."""
     return _whole(run("macid", macid_command))
 
 
-def macid_command():
+def macid_command() -> int:
     """Runs the command `macid` with this process's words; returns the exit code."""
     from macid.cli import main
 

@@ -4,6 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from macid.geometry import Array
+
 RADIUS = 0.35  # of a pedestrian [m]
 HEIGHT = 1.7  # of a pedestrian [m]
 RESPONSE = 0.01  # time constant with which a pedestrian's body follows a commanded velocity [s]
@@ -16,7 +18,7 @@ PHYSICS_STEP = 0.02  # [s]
 STALLED = 0.1  # below this speed a person, or a robot, stands [m/s]
 
 
-def physics_steps(period):
+def physics_steps(period: float) -> int:
     """How many physics steps a `period` [s] between decisions is. Raises ValueError unless it is a multiple of one."""
     steps = round(period / PHYSICS_STEP) if np.isfinite(period / PHYSICS_STEP) else 0
     if steps < 1 or abs(steps * PHYSICS_STEP - period) > 1e-9:
@@ -38,7 +40,7 @@ class CrowdState(NamedTuple):
     contact: Any  #: (..., K) bool: closer than CONTACT_GAP to a person, an obstacle or a wall
 
 
-def parking_place(index):
+def parking_place(index: Array) -> np.ndarray:
     """Where slot `index` (any shape) of a crowd stands when it is not on the map: (..., 2) [m]."""
     index = np.asarray(index, dtype=float)
     return np.stack([FAR_AWAY + 2.0 * index, np.full_like(index, FAR_AWAY)], axis=-1)

@@ -6,10 +6,14 @@ A person's colour is its LCF. Pictures are RGB, (height, width, 3) uint8. Drawin
 
 import dataclasses
 import math
+import os
+import pathlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from macid import drawing, geometry, metrics, scene
 from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
@@ -64,17 +68,17 @@ class Recording:
     collisions: np.ndarray  # (T + 1, K) steps of 0.02 s in contact so far
 
     @property
-    def duration(self):
+    def duration(self) -> float:
         """The episode's length [s]."""
         return (len(self.position) - 1) * self.period
 
     @property
-    def colours(self):
+    def colours(self) -> np.ndarray:
         """Everybody's colour, RGB (K, 3) in [0, 1]: the LCF's, or one colour for all where a rule has no use for
         LCFs."""
         return lcf_colour(self.lcf) if is_learned(self.pedestrian) else np.tile(_RULE_RGB, (len(self.lcf), 1))
 
-    def at(self, time):
+    def at(self, time: float) -> Moment:
         """The Moment at `time` [s], people's places interpolated between decisions."""
         last = len(self.position) - 1
         exact = min(max(time / self.period, 0.0), last)
@@ -92,7 +96,7 @@ class Recording:
             self.collisions[step],
         )
 
-    def last_step(self, person):
+    def last_step(self, person: int) -> int:
         """The last of the T + 1 steps at which `person` is on the map."""
         return int(np.flatnonzero(self.walking[:, person])[-1])
 
@@ -117,7 +121,7 @@ def record(pedestrian: str, level: int | str, config: CrowdConfig = CONFIG, seed
     return Recording(pedestrian, level, seed, layout, config.period, (least, most), lcf, goals, *fields)
 
 
-def worth_following(recording, step=0):
+def worth_following(recording: Recording, step: int = 0) -> int:
     """The index of a person on the map at `step` whose way from then on is long and near the middle of the crowd."""
     walking, position = recording.walking[step:], recording.position[step:]
     counts = np.maximum(walking.sum(axis=1, keepdims=True), 1)
@@ -134,7 +138,7 @@ class Film(drawing.Stage):
     scale: the picture's size, 1 for 1500 x 760. samples: 0 or 4, for anti-aliasing.
     """
 
-    def __init__(self, recording, follow=None, scale=1.0, samples=0):
+    def __init__(self, recording: Recording, follow: int | None = None, scale: float = 1.0, samples: int = 0):
         super().__init__(scene.crowd_spec(recording.layout, 0).compile(), _SIZE, (_MAP, _EYE), scale, samples)
         self.recording = recording
         step, self._watched = 0, {}  # {the step from which on a person is watched: the person}
@@ -147,7 +151,7 @@ class Film(drawing.Stage):
         self._span = recording.layout.size + 2 * WALL_THICKNESS + 0.4
         self._ground = self._draw_ground()
 
-    def frame(self, time, speed=None):
+    def frame(self, time: float, speed: float | None = None) -> np.ndarray:
         """The composed picture at `time` [s]. speed: the playback's, for the header."""
         recording, moment = self.recording, self.recording.at(time)
         page = self.page()
@@ -164,11 +168,11 @@ class Film(drawing.Stage):
         self._panels(page, time, moment)
         return page
 
-    def map_pixel(self, place):
+    def map_pixel(self, place: ArrayLike) -> np.ndarray:
         """Where the map shows `place` (..., 2) [m]: (..., 2) pixels x, y of the picture, continuous."""
         return self.on_map(_MAP, (0.0, 0.0), self._span, place)
 
-    def watched(self, time):
+    def watched(self, time: float) -> int:
         """The index of the person whose eyes show the crowd at `time` [s]."""
         return self._watched[max(step for step in self._watched if step <= time / self.recording.period + 1e-6)]
 
@@ -296,7 +300,14 @@ class Film(drawing.Stage):
         self.write_keys(page, x0, top + 90 * unit, keys)
 
 
-def film(recording, path, speed=1.0, follow=None, scale=0.75, progress=None):
+def film(
+    recording: Recording,
+    path: str | os.PathLike[str],
+    speed: float = 1.0,
+    follow: int | None = None,
+    scale: float = 0.75,
+    progress: Callable[[int, int], object] | None = None,
+) -> pathlib.Path:
     """Writes `recording` as the VP8 video `path` (.webm) of 25 frames/s, played `speed` times as fast; returns the
     path.
 
@@ -313,7 +324,13 @@ def film(recording, path, speed=1.0, follow=None, scale=0.75, progress=None):
     return drawing.write_webm(path, pictures(), len(times), FPS, progress)
 
 
-def still(recording, path, time=None, follow=None, scale=1.0):
+def still(
+    recording: Recording,
+    path: str | os.PathLike[str],
+    time: float | None = None,
+    follow: int | None = None,
+    scale: float = 1.0,
+) -> pathlib.Path:
     """Saves `recording` at `time` [s] (default: the middle) as the PNG `path`; returns the path."""
     time = recording.duration / 2 if time is None else time
     with Film(recording, follow, scale, samples=4) as camera:

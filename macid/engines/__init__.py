@@ -16,7 +16,7 @@ A new engine is a file in this folder and a line in ENGINES.
 import dataclasses
 import importlib
 import importlib.util
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from macid.files import UsageError
 
@@ -59,7 +59,7 @@ def best_engine() -> tuple[str, str]:
     return "warp", f"JAX has a GPU, {device.device_kind}"
 
 
-def engine_kind(text: str):
+def engine_kind(text: str) -> tuple[Any, Any]:
     """(the class, its options) of the engine `text`, as `make_engine` takes it. Raises UsageError as that does."""
     name, _, options = engine_name(text).partition(":")
     module, _, attribute = ENGINES[name].partition(":")
@@ -69,7 +69,7 @@ def engine_kind(text: str):
     return kind, _options(name, kind.options, options)
 
 
-def make_engine(text: str, model, number: int, boxes, nworld: int) -> "Engine":
+def make_engine(text: str, model: Any, number: int, boxes: Any, nworld: int) -> "Engine":
     """The engine `text`, a name of ENGINES with or without options, for `nworld` worlds of `model` (mujoco.MjModel, see
     `macid.scene.crowd_spec`), whose crowd has `number` people among `boxes` (B, 5).
 

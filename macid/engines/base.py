@@ -1,16 +1,20 @@
 """What an engine is to all that uses one, and what engines share."""
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from macid import contacts
 from macid.files import UsageError
+from macid.geometry import Array
 from macid.state import CrowdState
 
+T = TypeVar("T")
 DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
 _UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a loop's sums may differ in the last bit
 
@@ -25,24 +29,24 @@ class Engine(Protocol):
     shards: bool  #: whether its worlds can lie on several devices of JAX's
     stacks: bool  #: whether batches under vmap, as of several seeds, are stepped at once, not one by one
 
-    def init(self, position, yaw) -> Any:
+    def init(self, position: Array, yaw: Array) -> Any:
         """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]. Jittable."""
         ...
 
-    def step(self, state, command, nstep: int = 1) -> Any:
+    def step(self, state: Any, command: Array, nstep: int = 1) -> Any:
         """The state after `nstep` physics steps under `command` (nworld, K, 3): world velocity [m/s], yaw rate [rad/s].
         Jittable, and mappable over a leading axis of both."""
         ...
 
-    def read(self, state) -> CrowdState:
+    def read(self, state: Any) -> CrowdState:
         """The crowds of a state, leading axes (nworld, K). Jittable."""
         ...
 
-    def place(self, state, who, position) -> Any:
+    def place(self, state: Any, who: Array, position: Array) -> Any:
         """The state with the people `who` (nworld, K) bool put at rest at `position` (nworld, K, 2) [m]. Jittable."""
         ...
 
-    def faults(self, state) -> list[str]:
+    def faults(self, state: Any) -> list[str]:
         """What of the physics failed in each world: "" where nothing did. `state`: the last one. Raises as `check`."""
         ...
 
@@ -79,7 +83,7 @@ class CrowdEngine:
     shards = stacks = False
     options = NoOptions  # the dataclass of what may follow the engine's name
 
-    def __init__(self, model, number, boxes, nworld):
+    def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int):
         self.model, self.number, self.nworld = model, number, nworld
         self.boxes = jnp.asarray(boxes, jnp.float32)
 
@@ -87,16 +91,16 @@ class CrowdEngine:
         pose = jnp.concatenate([jnp.asarray(position), jnp.asarray(yaw)[..., None]], axis=-1)
         return pose.reshape(self.nworld, 3 * self.number).astype(jnp.float32)
 
-    def init(self, position, yaw) -> Any:
+    def init(self, position: Array, yaw: Array) -> Any:
         """As Engine.init; of engines whose state is a FlatState."""
         qpos = self._pack(position, yaw)
         return FlatState(qpos, jnp.zeros_like(qpos), jnp.zeros_like(qpos))
 
-    def read(self, state) -> CrowdState:
+    def read(self, state: Any) -> CrowdState:
         """As Engine.read."""
         return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
 
-    def faults(self, state) -> list[str]:
+    def faults(self, state: Any) -> list[str]:
         """As Engine.faults.
 
         Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the
@@ -117,7 +121,7 @@ class CrowdEngine:
         """What MuJoCo warned of in each world, in its words."""
         return [""] * self.nworld
 
-    def place(self, state, who, position) -> Any:
+    def place(self, state: Any, who: Array, position: Array) -> Any:
         """As Engine.place."""
         shape = (self.nworld, self.number, 3)
         pose = state.qpos.reshape(shape)
@@ -135,16 +139,15 @@ class CrowdEngine:
         return state._replace(**fields)
 
 
-def read_crowd(qpos, qvel, number, boxes) -> CrowdState:
-    """The CrowdState of the first `number` people in `qpos` (..., nq) and `qvel` (..., nv), among `boxes` (..., B,
-    5)."""
+def read_crowd(qpos: Array, qvel: Array, number: int, boxes: Array) -> CrowdState:
+    """The CrowdState of the first `number` people of `qpos` (..., nq), `qvel` (..., nv) among `boxes` (..., B, 5)."""
     pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
     rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
     position = pose[..., :2]
     return CrowdState(position, pose[..., 2], rate[..., :2], rate[..., 2], contacts.touching(position, boxes))
 
 
-def repeat(step, carried, number):
+def repeat(step: Callable[[T], T], carried: T, number: int) -> T:
     """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which
     takes no longer to compile however many steps it has."""
     if number > _UNROLLED:

@@ -2,9 +2,11 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 from mujoco import mjx
 
-from macid.engines.base import NO_OPTIONS, CrowdEngine
+from macid.engines.base import NO_OPTIONS, CrowdEngine, NoOptions
+from macid.geometry import Array
 
 
 class MjxEngine(CrowdEngine):
@@ -12,11 +14,11 @@ class MjxEngine(CrowdEngine):
 
     shards = stacks = True
 
-    def __init__(self, model, number, boxes, nworld, options=NO_OPTIONS):
+    def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int, options: NoOptions = NO_OPTIONS):
         super().__init__(model, number, boxes, nworld)
         self._model = mjx.put_model(model, impl="jax")
 
-    def init(self, position, yaw) -> mjx.Data:
+    def init(self, position: Array, yaw: Array) -> mjx.Data:
         """As Engine.init."""
 
         def one(qpos):
@@ -28,7 +30,7 @@ class MjxEngine(CrowdEngine):
         # A step's output must have its input's types, or every second call would compile anew.
         return jax.tree.map(lambda x, like: jnp.asarray(x, jnp.asarray(like).dtype), data, example)
 
-    def step(self, state, command, nstep=1) -> mjx.Data:
+    def step(self, state: mjx.Data, command: Array, nstep: int = 1) -> mjx.Data:
         """As Engine.step."""
         ctrl = command.reshape(self.nworld, 3 * self.number)
         gain = self._model.actuator_gainprm[:, 0]

@@ -6,20 +6,21 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from macid.engines.base import NO_OPTIONS, CrowdEngine, FlatState
+from macid.engines.base import NO_OPTIONS, CrowdEngine, FlatState, NoOptions
+from macid.geometry import Array
 from macid.threads import physics_threads
 
 
 class NativeEngine(CrowdEngine):
     """Reached from jitted code by a callback. Worlds of a batch equal the same worlds alone, bit for bit."""
 
-    def __init__(self, model, number, boxes, nworld, options=NO_OPTIONS):
+    def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int, options: NoOptions = NO_OPTIONS):
         super().__init__(model, number, boxes, nworld)
         self._batch = mujoco.batch.Batch(model, nworld, physics_threads())
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._warmstart, self._ctrl = self._batch.bind("qacc_warmstart"), self._batch.bind("ctrl")
 
-    def step(self, state, command, nstep=1) -> FlatState:
+    def step(self, state: FlatState, command: Array, nstep: int = 1) -> FlatState:
         """As Engine.step."""
 
         def run(*fields):  # (..., nworld, 3 K): under vmap, one batch of worlds after the other

@@ -16,6 +16,7 @@ import gc
 import itertools
 import warnings
 import weakref
+from collections.abc import Iterator
 
 import jax
 import mujoco
@@ -25,6 +26,7 @@ from mujoco.mjx.third_party import mujoco_warp
 from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 
 from macid.engines.base import CrowdEngine, EngineOverflow, FlatState
+from macid.geometry import Array
 from macid.state import parking_place
 
 wp.config.log_level = wp.LOG_ERROR  # at its first use Warp tells of itself, and of each kernel that it compiles
@@ -56,7 +58,7 @@ class WarpOptions:
         if self.solver not in ("auto", *_SOLVERS):
             raise ValueError(f"solver must be one of auto, {', '.join(_SOLVERS)}, not '{self.solver}'.")
 
-    def solving(self, number):
+    def solving(self, number: int) -> tuple[str, int]:
         """(solver, iterations at most) of a crowd of `number` people."""
         solver = ("newton" if number <= MOST_NEWTON else "cg") if self.solver == "auto" else self.solver
         return solver, self.iterations or ITERATIONS[solver]
@@ -68,7 +70,9 @@ class WarpEngine(CrowdEngine):
     stacks = True
     options = WarpOptions
 
-    def __init__(self, model, number, boxes, nworld, options=WarpOptions()):
+    def __init__(
+        self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int, options: WarpOptions = WarpOptions()
+    ):
         super().__init__(model, number, boxes, nworld)
         self.chosen = options
         self._device = wp.device_from_jax(jax.devices()[0])
@@ -87,7 +91,7 @@ class WarpEngine(CrowdEngine):
         self._step.def_vmap(self._step_stacked)
         self._batch(nworld)
 
-    def step(self, state, command, nstep=1) -> FlatState:
+    def step(self, state: FlatState, command: Array, nstep: int = 1) -> FlatState:
         """As Engine.step."""
         ctrl = command.reshape(state.qpos.shape)
         for _ in range(nstep):
@@ -173,7 +177,7 @@ class _Batch:
 
 
 @contextlib.contextmanager
-def no_collection():
+def no_collection() -> Iterator[None]:
     """Nothing is freed by Python's collector meanwhile."""
     gc.collect()
     enabled = gc.isenabled()

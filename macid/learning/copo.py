@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from macid.geometry import Array
 from macid.learning.methods import quarter_turn
-from macid.learning.ppo import clipped_objective, log_probability
+from macid.learning.ppo import PpoConfig, clipped_objective, log_probability
 
 LEARNING_RATE = 1e-4
 PASSES = 5
@@ -34,24 +35,24 @@ class Meta(NamedTuple):
 _optimizer = optax.adam(LEARNING_RATE)
 
 
-def init():
+def init() -> Meta:
     """Mean 0, standard deviation INITIAL_STD."""
     distribution = jnp.asarray([0.0, jnp.log(INITIAL_STD)], jnp.float32)
     return Meta(distribution, _optimizer.init(distribution))
 
 
-def moments(distribution):
+def moments(distribution: Array) -> tuple[Array, Array]:
     """Mean and standard deviation of the LCF."""
     return jnp.tanh(distribution[0]), jnp.exp(distribution[1])
 
 
-def draw(distribution, key, shape):
+def draw(distribution: Array, key: Array, shape: tuple[int, ...]) -> Array:
     """LCFs of `shape`, not yet clipped to [-1, 1]."""
     mean, std = moments(distribution)
     return mean + std * jax.random.normal(key, shape)
 
 
-def sensitivity(old_policy, new_policy, data, clip):
+def sensitivity(old_policy: Any, new_policy: Any, data: dict[str, Array], clip: float) -> Array:
     """< grad J_global(theta_new), grad log pi_old > of each sample (N,)."""
 
     def objective(policy):
@@ -64,14 +65,14 @@ def sensitivity(old_policy, new_policy, data, clip):
     return jax.jvp(lambda policy: log_probability(policy, data["x"], data["action"]), *along)[1]
 
 
-def meta_objective(distribution, noise, weight, individual, neighborhood):
+def meta_objective(distribution: Array, noise: Array, weight: Array, individual: Array, neighborhood: Array) -> Array:
     """Mean of weight * (cos A_I + sin A_N) with the LCF reparameterised: to be maximised over `distribution`."""
     mean, std = moments(distribution)
     own, others = quarter_turn(mean + std * noise)
     return jnp.mean(weight * (own * individual + others * neighborhood))
 
 
-def update(meta, old_policy, new_policy, data, config):
+def update(meta: Meta, old_policy: Any, new_policy: Any, data: dict[str, Array], config: PpoConfig) -> Meta:
     """PASSES passes over `data` in minibatches of the PPO's size."""
     mean, std = moments(meta.distribution)
     count = data["advantage"].shape[0]

@@ -2,8 +2,10 @@
 
 import dataclasses
 import json
+import os
 import pathlib
 import time
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +21,12 @@ _NOTED = "training"  # the document in a checkpoint
 _BOARD = "tensorboard"  # the folder of TensorBoard's logs
 
 
-def plain(config):
+def plain(config: Any) -> dict[str, Any]:
     """A configuration (a dataclass) as JSON has it: dicts, lists, numbers and strings."""
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
-def completed(saved, config):
+def completed(saved: dict[str, Any], config: Any) -> dict[str, Any]:
     """The configuration `saved`, in the form that `plain` gives; fields that it lacks, since they came later, get their
     defaults. config: a configuration (a dataclass) of the kind."""
     whole = dict(saved)
@@ -38,7 +40,7 @@ def completed(saved, config):
     return whole
 
 
-def training_folder(path, config, resume):
+def training_folder(path: str | os.PathLike[str], config: Any, resume: bool) -> pathlib.Path:
     """`path` as the folder of a training: it gets config.json.
 
     config: a dataclass. resume: whether the training may go on there. Raises UsageError where the folder has a policy
@@ -60,7 +62,7 @@ def training_folder(path, config, resume):
     return folder
 
 
-def read_config(folder):
+def read_config(folder: pathlib.Path) -> dict[str, Any]:
     """config.json of the training in `folder`, a dict. Where it is damaged, UsageError says what to do."""
     try:
         return read_document(folder / "config.json", dict, "configuration")
@@ -71,13 +73,13 @@ def read_config(folder):
         ) from None
 
 
-def write_checkpoint(folder, found, noted):
+def write_checkpoint(folder: pathlib.Path, found: Mapping[str, np.ndarray], noted: Mapping[str, Any]) -> None:
     """Writes the checkpoint of the training in `folder`, all or nothing: the arrays `found`, {name: array}, and
     `noted`, a value of JSON."""
     write_bytes(pathlib.Path(folder) / CHECKPOINT, arrays.pack(found, {_NOTED: noted}))
 
 
-def read_checkpoint(folder, schema):
+def read_checkpoint(folder: pathlib.Path, schema: Any) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
     """({name: array}, what was noted) of the checkpoint in `folder`; None where there is none.
 
     schema: the msgspec type of what was noted. Raises UsageError, which says what to do, where it can't be read.
@@ -99,13 +101,13 @@ def read_checkpoint(folder, schema):
     return found, documents[_NOTED]
 
 
-def damaged(path, reason):
+def damaged(path: str | os.PathLike[str], reason: Any) -> UsageError:
     """The UsageError for a checkpoint that is there, but does not belong to this training."""
     told = getattr(reason, "strerror", None) or str(reason).rstrip(".")
     return UsageError(f"'{path}' is damaged or of another version ({told}): delete it to begin anew.")
 
 
-def check_arrays(found, wanted):
+def check_arrays(found: Mapping[str, np.ndarray], wanted: Mapping[str, np.ndarray]) -> None:
     """Raises ValueError unless the arrays `found` have the names, shapes and types of `wanted`, {name: array}."""
     if odd := sorted(found.keys() ^ wanted.keys()):
         raise ValueError(f"{odd[0]!r} is {'missing' if odd[0] in wanted else 'nothing that it has'}")
@@ -116,12 +118,12 @@ def check_arrays(found, wanted):
             )
 
 
-def thin(rows, most):
+def thin(rows: Sequence[Any], most: int) -> list[Any]:
     """At most `most` of `rows`, evenly spread, the first and the last among them."""
     return [rows[i] for i in np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
 
 
-def write_curve(path, rows):
+def write_curve(path: str | os.PathLike[str], rows: Sequence[dict[str, float]]) -> None:
     """Writes `rows`, dicts of numbers of the same keys, as a csv file; no file where there are no rows."""
     if not rows:
         return
@@ -137,7 +139,9 @@ class Board:
     out. Nothing is written before the first row. Raises UsageError where the folder can't be written.
     """
 
-    def __init__(self, folder, curve=(), done=None):
+    def __init__(
+        self, folder: str | os.PathLike[str], curve: Sequence[dict[str, float]] = (), done: float | None = None
+    ):
         self._folder, self._curve = check_folder(pathlib.Path(folder) / _BOARD), list(curve)
         self._writer: Any = None
         self._done = (next(iter(curve[-1].values())) if curve else 0) if done is None else done
@@ -149,7 +153,7 @@ class Board:
         if self._writer is not None:
             self._writer.close()
 
-    def write(self, row):
+    def write(self, row: dict[str, float]) -> None:
         """Adds `row`, {name: number}, and writes it to the disk."""
         if not self._writer:
             self._open()
@@ -174,7 +178,7 @@ class Board:
         self._writer.add_event(Event(wall_time=time.time(), step=int(step), summary=Summary(value=values)))
 
 
-def check_tensorboard():
+def check_tensorboard() -> None:
     """Raises UsageError, which says what to install, where TensorBoard isn't."""
     _tensorboard()
 

@@ -11,21 +11,22 @@ import jax.numpy as jnp
 
 from macid.documents import shown
 from macid.files import UsageError
+from macid.geometry import Array
 from macid.registry import Kind
-from macid.reward import neighborhood_mean, neighbors
+from macid.reward import RewardWeights, neighborhood_mean, neighbors
 
 
-def linear(lcf):
+def linear(lcf: Array) -> tuple[Array, Array]:
     """MAC-ID's coefficients, eq. 2: 1 and the LCF."""
     return jnp.ones_like(lcf), lcf
 
 
-def trigonometric(lcf):
+def trigonometric(lcf: Array) -> tuple[Array, Array]:
     """SVO's coefficients, sec. V-B: cos and sin of the LCF."""
     return jnp.cos(lcf), jnp.sin(lcf)
 
 
-def quarter_turn(lcf):
+def quarter_turn(lcf: Array) -> tuple[Array, Array]:
     """CoPO's coefficients: cos and sin of an LCF in [-1, 1] as a share of a quarter turn."""
     return trigonometric(jnp.clip(lcf, -1.0, 1.0) * (math.pi / 2))
 
@@ -33,7 +34,7 @@ def quarter_turn(lcf):
 CARE = 8.0  # at 3.0 people collided more (on the maps for validation)
 
 
-def considerate(lcf):
+def considerate(lcf: Array) -> tuple[Array, Array]:
     """MAC-ID(touch)'s coefficients: 1, and the LCF times CARE above 0, half the LCF below.
 
     So at LCF 1 a touch costs w_c for oneself and CARE w_c for each other person; at -2 the two cancel, and touching is
@@ -42,13 +43,13 @@ def considerate(lcf):
     return jnp.ones_like(lcf), jnp.where(lcf > 0, CARE, 0.5) * lcf
 
 
-def neighbors_mean(reward, position, touched, weights):
+def neighbors_mean(reward: Array, position: Array, touched: Array, weights: RewardWeights) -> Array:
     """Eq. 1: the mean (..., K) of the neighbours' individual rewards (..., K); people are at `position` (..., K, 2)
     [m]."""
     return neighborhood_mean(reward[..., None], neighbors(position))[..., 0]
 
 
-def cost_of_touch(reward, position, touched, weights):
+def cost_of_touch(reward: Array, position: Array, touched: Array, weights: RewardWeights) -> Array:
     """MAC-ID(touch)'s shared reward (..., K), in place of eq. 1: what a person's touch costs the others by eq. 5.
 
     touched (..., K): how many people each person touches. The rest of the neighbours' rewards is left out: it does not
@@ -70,7 +71,7 @@ class Method:
     meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
 
     @property
-    def critics(self):
+    def critics(self) -> tuple[str, ...]:
         """Names of the value networks; each predicts the reward of its name. Without LCFs the second would weigh
         nothing."""
         if self.meta:
@@ -106,6 +107,5 @@ KIND: Kind[Method] = Kind("method", METHODS, own="method", check=_own)
 
 
 def get_method(name: str) -> Method:
-    """The method `name`: one of METHODS, or one's own Method, `module:method` or `file.py:method`. Raises
-    UsageError."""
+    """The method `name`: one of METHODS, or one's own, `module:method` or `file.py:method`. Raises UsageError."""
     return KIND.load(name)

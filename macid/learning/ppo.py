@@ -1,12 +1,17 @@
 """Proximal policy optimisation with two values (paper, eqs. 2 to 4)."""
 
 import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import optax
 
+from macid.geometry import Array
 from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
+
+Network: TypeAlias = Callable[[Any, Array], Array]  #: what makes an output (..., out) of its layers and x (..., in)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +42,15 @@ class PpoConfig:
             raise ValueError(f"arrival must be 'mean' or 'end', not '{self.arrival}'.")
 
 
-def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
+def gae(
+    reward: Array,
+    value: Array,
+    last_value: Array,
+    gamma: float,
+    lam: float,
+    redrawn: Array | None = None,
+    arrival: str = "mean",
+) -> tuple[Array, Array]:
     """Generalised advantage estimates (T, ...) and returns (T, ...) of one stream without ends.
 
     reward, value (T, ...); last_value (...), of the state after the last step, which bootstraps it. redrawn (T, ...)
@@ -63,7 +76,7 @@ def gae(reward, value, last_value, gamma, lam, redrawn=None, arrival="mean"):
     return advantage, advantage + value
 
 
-def discounted_returns(reward, gamma, ends=None):
+def discounted_returns(reward: Array, gamma: float, ends: Array | None = None) -> Array:
     """Eq. 4's targets: the sum over t' from t to the end of gamma^(t' - t) reward (T, ...).
 
     ends (T, ...) bool: the steps with which an episode ends, beside the last one.
@@ -78,7 +91,7 @@ def discounted_returns(reward, gamma, ends=None):
     return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, ends), reverse=True)[1]
 
 
-def init_mlp(key, sizes, last_scale):
+def init_mlp(key: Array, sizes: Sequence[int], last_scale: float) -> list[tuple[Array, Array]]:
     """Layers of a network: orthogonal weights, zero biases, the last layer's weights scaled by `last_scale`."""
     keys = jax.random.split(key, len(sizes) - 1)
     layers = []
@@ -89,9 +102,14 @@ def init_mlp(key, sizes, last_scale):
     return layers
 
 
-def init_parameters(key, config, critics=("individual", "neighborhood"), mean_field=False, size=FEATURES):
-    """The policy network and a value network for each of `critics`, all fed `size` numbers of what is seen, and the
-    LCF."""
+def init_parameters(
+    key: Array,
+    config: PpoConfig,
+    critics: Sequence[str] = ("individual", "neighborhood"),
+    mean_field: bool = False,
+    size: int = FEATURES,
+) -> dict[str, Any]:
+    """The policy network and a value network for each of `critics`. Their inputs are `size` numbers and the LCF."""
     key_policy, *key_critics = jax.random.split(key, 1 + len(critics))
     seen = size + 1
     critic = seen + (size + ACTIONS if mean_field else 0)
@@ -104,12 +122,12 @@ def init_parameters(key, config, critics=("individual", "neighborhood"), mean_fi
     }
 
 
-def gaussian_log_density(z, log_std):
+def gaussian_log_density(z: Array, log_std: Array) -> Array:
     """Log density (...) of mean + exp(log_std) z, for z (..., ACTIONS) of a diagonal Gaussian."""
     return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
 
 
-def log_probability(policy, x, action, network=mlp):
+def log_probability(policy: Any, x: Array, action: Array, network: Network = mlp) -> Array:
     """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS).
 
     network: what makes an output of its layers and x, here as in what follows."""
@@ -117,19 +135,33 @@ def log_probability(policy, x, action, network=mlp):
     return gaussian_log_density((action - network(policy["layers"], x)) * jnp.exp(-log_std), log_std)
 
 
-def clipped_objective(policy, x, action, old_log_probability, advantage, clip, network=mlp):
+def clipped_objective(
+    policy: Any,
+    x: Array,
+    action: Array,
+    old_log_probability: Array,
+    advantage: Array,
+    clip: float,
+    network: Network = mlp,
+) -> Array:
     """Eq. 3, negated: the mean of min(rho A, clip(rho) A)."""
     ratio = jnp.exp(log_probability(policy, x, action, network) - old_log_probability)
     clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
     return jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
 
-def value_loss(layers, x, target, network=mlp):
+def value_loss(layers: Any, x: Array, target: Array, network: Network = mlp) -> Array:
     """Eq. 4: mean squared error of the value (...) against the return."""
     return jnp.mean((network(layers, x)[..., 0] - target) ** 2)
 
 
-def coordinated_advantage(individual, neighborhood, lcf, coordination, standardize=True):
+def coordinated_advantage(
+    individual: Array,
+    neighborhood: Array,
+    lcf: Array,
+    coordination: Callable[[Array], tuple[Array, Array]],
+    standardize: bool = True,
+) -> Array:
     """Eq. 2, c_I(lcf) A_I + c_N(lcf) A_N, any shape; then, if it is to, standardised over all."""
     own, others = coordination(lcf)
     advantage = own * individual + others * neighborhood
@@ -138,7 +170,7 @@ def coordinated_advantage(individual, neighborhood, lcf, coordination, standardi
     return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
 
 
-def make_optimizer(config, updates, networks):
+def make_optimizer(config: PpoConfig, updates: int, networks: Iterable[str]) -> optax.GradientTransformation:
     """Adam with each network's gradient clipped, and the learning rate annealed over `updates` minibatch steps."""
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates)
     clip = optax.identity() if config.max_gradient_norm is None else optax.clip_by_global_norm(config.max_gradient_norm)
@@ -146,7 +178,7 @@ def make_optimizer(config, updates, networks):
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 
-def loss(parameters, batch, config, network=mlp):
+def loss(parameters: Any, batch: dict[str, Array], config: PpoConfig, network: Network = mlp) -> Array:
     """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
     objective = clipped_objective(
@@ -160,7 +192,15 @@ def loss(parameters, batch, config, network=mlp):
     return values - objective - config.entropy * entropy
 
 
-def update(parameters, optimizer, optimizer_state, data, key, config, network=mlp):
+def update(
+    parameters: Any,
+    optimizer: optax.GradientTransformation,
+    optimizer_state: Any,
+    data: dict[str, Array],
+    key: Array,
+    config: PpoConfig,
+    network: Network = mlp,
+) -> tuple[Any, Any]:
     """`epochs` passes over `data` (a dict of arrays with a leading axis (N,)) in shuffled minibatches."""
     count = data["advantage"].shape[0]
     batches = max(1, count // config.batch)

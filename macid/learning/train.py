@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import os
 import pathlib
 import time
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +16,7 @@ import numpy as np
 from macid import contacts, geometry, scene, start
 from macid.engines import engine_kind, make_engine
 from macid.engines.base import repeat
+from macid.executors import Executor
 from macid.files import UsageError, lock_folder, versions
 from macid.layout import GOAL_DISTANCE, load_level, sample_goals, sample_people
 from macid.learning import copo
@@ -100,9 +103,8 @@ class TrainConfig:
     inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
 
     @property
-    def name(self):
-        """The method, and what sets this configuration apart from the defaults: "macid", "ipo-paper-ppo",
-        "macid-10hz"."""
+    def name(self) -> str:
+        """The method, and what sets this apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
         presets = [
             name
             for name, fields in PRESETS.items()
@@ -129,7 +131,7 @@ class TrainConfig:
             )
 
 
-def preset(name, **fields):
+def preset(name: str, **fields: Any) -> TrainConfig:
     """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError,
     naming the valid presets."""
     if name not in PRESETS:
@@ -180,14 +182,13 @@ def _figures(walk):
 
 
 class Trainer:
-    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of several
-    stacked.
+    """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of stacked ones.
 
     devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the
     seeds, which then run apart. Raises ValueError where it can't.
     """
 
-    def __init__(self, config: TrainConfig, devices=None):
+    def __init__(self, config: TrainConfig, devices: Sequence[Any] | None = None):
         self.config, self.method = config, get_method(config.method)
         self._see, self._seen = INPUTS[config.inputs]
         layout = load_level(config.level)
@@ -216,7 +217,7 @@ class Trainer:
         self.iterate = jax.jit(self._iterate)
         self.iterate_seeds = jax.jit(self._iterate_seeds)
 
-    def init(self, seed=None):
+    def init(self, seed: int | None = None) -> TrainState:
         """The TrainState of `seed` (default: the config's) before the first iteration."""
         seed = self.config.seed if seed is None else seed
         key, key_parameters, key_walk = jax.random.split(jax.random.key(seed), 3)
@@ -228,13 +229,13 @@ class Trainer:
         zero = jnp.zeros((), jnp.int32)
         return TrainState(parameters, self.optimizer.init(parameters), meta, walk, _figures(walk), key, zero)
 
-    def init_seeds(self, seeds):
+    def init_seeds(self, seeds: Iterable[int]) -> TrainState:
         """The TrainStates of `seeds`, stacked."""
         states = [self.init(seed) for seed in seeds]
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
         return self._spread_jitted(stacked._replace(iteration=states[0].iteration))
 
-    def seed_state(self, states, index):
+    def seed_state(self, states: TrainState, index: int) -> TrainState:
         """The TrainState at `index` of stacked ones."""
         one = jax.tree.map(lambda leaf: leaf[index], states._replace(iteration=None))
         return one._replace(iteration=states.iteration)
@@ -260,7 +261,7 @@ class Trainer:
             raise ValueError(f"Neither {seeds} seeds nor {self.config.nworld} worlds divide among {devices} devices.")
         return laid(states._replace(walk=None))._replace(walk=laid(states.walk, None, "device"))
 
-    def policy(self, state, recipe):
+    def policy(self, state: TrainState, recipe: dict[str, Any]) -> Policy:
         """The Policy of a TrainState."""
         layers = tuple((np.asarray(w), np.asarray(b)) for w, b in state.parameters["policy"]["layers"])
         return Policy(layers, recipe)
@@ -412,12 +413,20 @@ class Trainer:
         return TrainState(parameters, optimizer, meta, walk, figures, key, iteration), log
 
 
-def seeds_of(config, seeds):
+def seeds_of(config: TrainConfig, seeds: int) -> list[TrainConfig]:
     """`config` with its seed and those that follow, `seeds` in all."""
     return [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
 
 
-def train(config, out, seeds=1, resume=False, show=print, minutes_between_checkpoints=2.0, tensorboard=False):
+def train(
+    config: TrainConfig,
+    out: str | os.PathLike[str],
+    seeds: int = 1,
+    resume: bool = False,
+    show: Callable[[str], object] = print,
+    minutes_between_checkpoints: float = 2.0,
+    tensorboard: bool = False,
+) -> list[Policy]:
     """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a
@@ -455,7 +464,13 @@ def _begun_apart(paths):
     return saved is not None and len(saved[1]["configs"]) == 1
 
 
-def train_apart(executor, configs, out, resume=False, show=print):
+def train_apart(
+    executor: Executor,
+    configs: Iterable[TrainConfig],
+    out: str | os.PathLike[str],
+    resume: bool = False,
+    show: Callable[[str], object] = print,
+) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers; returns their folders.
 
     Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at
@@ -487,7 +502,7 @@ def _train_here(configs, out, show):
     train(configs[0], out, len(configs), resume=True, show=show)
 
 
-def is_done(config, folder):
+def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     """Whether the training `config` has its policy, to the last step, in `folder`."""
     try:
         recipe = load_policy(str(folder / "policy.npz")).recipe

@@ -2,13 +2,13 @@
 
 import jax.numpy as jnp
 
-from macid.geometry import norm, wrap_angle
+from macid.geometry import Array, norm, wrap_angle
 from macid.state import MAX_YAW_RATE
 
 STANDING = 0.05  # a person slower than this keeps its yaw [m/s]
 
 
-def face_velocity(velocity, yaw, period):
+def face_velocity(velocity: Array, yaw: Array, period: float) -> Array:
     """Command (..., 3) for world-frame `velocity` (..., 2) [m/s] of people who look along `yaw` (...) [rad].
 
     The third column is the yaw rate [rad/s] that would turn them into the velocity's direction within `period` [s], up

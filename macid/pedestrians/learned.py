@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
+from macid.geometry import Array
 from macid.observation import observe
 from macid.policy import Policy, to_velocity
+from macid.state import CrowdState
 
 
-def to_command(velocity, yaw):
+def to_command(velocity: Array, yaw: Array) -> Array:
     """Command (..., 3), world velocity [m/s] and yaw rate [rad/s], of (v, w) (..., 2) by people facing `yaw` (...)."""
     ahead = velocity[..., :1] * jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
     return jnp.concatenate([ahead, velocity[..., 1:]], axis=-1)
@@ -21,7 +23,7 @@ class Learned:
     policy: Policy
     period: float = 0.02  #: between two decisions [s]
 
-    def __call__(self, state, boxes, goals, lcf):
+    def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array) -> Array:
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
         state = type(state)(*map(jnp.asarray, state))
         observed = observe(state, jnp.asarray(boxes), jnp.asarray(goals))

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from macid.geometry import box_corners, norm, rotate
+from macid.geometry import Array, box_corners, norm, rotate
 from macid.pedestrians.facing import STANDING, face_velocity
 from macid.pedestrians.social_force import TINY, away_from_boxes, left_of, unit
-from macid.state import MAX_SPEED, RADIUS
+from macid.state import MAX_SPEED, RADIUS, CrowdState
 
 EPSILON = 1e-5  # of slopes and speeds in the linear programs [m/s], as in RVO2
 NO_LIMIT = -1e3  # offset of a half-plane that permits every velocity [m/s]
@@ -30,12 +30,12 @@ def _select(array, index):
     return jnp.take_along_axis(array, index[..., None, None], axis=-2)[..., 0, :]
 
 
-def permits(normal, offset, velocity):
+def permits(normal: Array, offset: Array, velocity: Array) -> Array:
     """Whether all half-planes (..., N) permit `velocity` (..., 2), up to EPSILON: (...)."""
     return jnp.all(_dot(normal, velocity[..., None, :]) >= offset - EPSILON, axis=-1)
 
 
-def permitted_segments(normal, offset, top_speed):
+def permitted_segments(normal: Array, offset: Array, top_speed: float) -> tuple[Array, Array, Array]:
     """The part of every line (..., N) that all the other half-planes and the disc of `top_speed` [m/s] permit.
 
     A point of line i is c_i n_i + t left_of(n_i). Returns the least and the greatest t (..., N) and whether there is
@@ -53,7 +53,7 @@ def permitted_segments(normal, offset, top_speed):
     return low, high, (jnp.abs(offset) <= top_speed) & ~excluded & (low <= high + EPSILON)
 
 
-def closest_permitted(normal, offset, target, top_speed):
+def closest_permitted(normal: Array, offset: Array, target: Array, top_speed: float) -> tuple[Array, Array]:
     """The permitted velocity (..., 2) closest to `target` (..., 2), and whether there is any (...).
 
     Half-planes normal (..., N, 2), offset (..., N), and the disc of `top_speed` [m/s]. Linear program 2 of the paper.
@@ -69,7 +69,7 @@ def closest_permitted(normal, offset, target, top_speed):
     return _select(points, jnp.argmin(cost, axis=-1)), jnp.any(exists, axis=-1)
 
 
-def least_violation(normal, offset, hard, target, top_speed):
+def least_violation(normal: Array, offset: Array, hard: int, target: Array, top_speed: float) -> Array:
     """The velocity (..., 2) that violates the half-planes after the first `hard` ones the least, max c - n.v.
 
     The first `hard` half-planes and the disc of `top_speed` [m/s] hold; standing must be permitted by them, and is what
@@ -111,7 +111,7 @@ def least_violation(normal, offset, hard, target, top_speed):
     return jnp.where(jnp.any(exists, axis=-1)[..., None], _select(points, best), 0.0)
 
 
-def best_velocity(normal, offset, hard, target, top_speed):
+def best_velocity(normal: Array, offset: Array, hard: int, target: Array, top_speed: float) -> Array:
     """Linear program 2, and linear program 3 for people for whom it has no answer: velocity (Q, 2) [m/s].
 
     normal (Q, N, 2), offset (Q, N), of which the first `hard` come from obstacles; target (Q, 2). Program 3 costs ten
@@ -174,7 +174,7 @@ class ORCA:
     blocked: float = 0.2  #: share of the preferred speed
     detours: tuple[float, ...] = (1.3, 2.2)  #: [rad]
 
-    def __call__(self, state, boxes, goals, lcf=None):
+    def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array | None = None) -> Array:
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3). `lcf` has no meaning here and is ignored.
 
         state (..., K), boxes (B, 5) or (..., B, 5), goals (..., K, 2) [m].
@@ -189,7 +189,7 @@ class ORCA:
         chosen = self.chosen_velocity(normal, offset, hard, preferred.reshape(-1, 2)).reshape(preferred.shape)
         return face_velocity(chosen, jnp.asarray(state.yaw, jnp.float32), self.period)
 
-    def chosen_velocity(self, normal, offset, hard, preferred):
+    def chosen_velocity(self, normal: Array, offset: Array, hard: int, preferred: Array) -> Array:
         """The velocity (Q, 2) [m/s] of people who prefer `preferred` (Q, 2): `best_velocity`, or a way around.
 
         normal (Q, N, 2), offset (Q, N), of which the first `hard` come from obstacles.
@@ -211,14 +211,14 @@ class ORCA:
             blocked &= norm(chosen) < self.blocked * speed
         return chosen
 
-    def preferred_velocity(self, position, goals):
+    def preferred_velocity(self, position: Array, goals: Array) -> Array:
         """(..., K, 2) [m/s], world frame."""
         to_goal = goals - position
         speed = jnp.minimum(self.preferred_speed, norm(to_goal) / self.period)
         straight = speed[..., None] * unit(to_goal)
         return rotate(straight, jnp.full_like(speed, -self.veer))
 
-    def neighbor_half_planes(self, position, velocity):
+    def neighbor_half_planes(self, position: Array, velocity: Array) -> tuple[Array, Array]:
         """Half-planes (..., K, N, 2), (..., K, N) against the nearest neighbours, eq. 5: n.v >= n.(v_now + u/2)."""
         people = position.shape[-2]
         count = min(self.max_neighbors, people - 1)
@@ -249,7 +249,7 @@ class ORCA:
         offset = _dot(normal, velocity[..., :, None, :]) + change / 2
         return normal, jnp.where(distance < self.neighbor_distance, offset, NO_LIMIT)
 
-    def obstacle_half_planes(self, position, velocity, boxes):
+    def obstacle_half_planes(self, position: Array, velocity: Array, boxes: Array) -> tuple[Array, Array]:
         """Half-planes (..., K, M, 2), (..., K, M) against the nearest boxes.
 
         With C the box widened by the radius and seen from the person, the velocities that hit it within the horizon T

@@ -5,26 +5,26 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from macid.geometry import in_box_frame, norm, rotate
+from macid.geometry import Array, in_box_frame, norm, rotate
 from macid.pedestrians.facing import face_velocity
-from macid.state import MAX_SPEED, PHYSICS_STEP, RESPONSE
+from macid.state import MAX_SPEED, PHYSICS_STEP, RESPONSE, CrowdState
 
 TINY = 1e-6  # lengths below this have no direction [m]
 _CLOSEST = 0.02  # people who touch count as this far apart [m]
 
 
-def unit(vector):
+def unit(vector: Array) -> Array:
     """Direction of `vector` (..., 2); zero where it is shorter than TINY."""
     length = norm(vector)[..., None]
     return jnp.where(length < TINY, 0.0, vector / jnp.maximum(length, TINY))
 
 
-def left_of(vector):
+def left_of(vector: Array) -> Array:
     """`vector` (..., 2) turned by a quarter turn counter-clockwise."""
     return jnp.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
-def away_from_boxes(point, boxes):
+def away_from_boxes(point: Array, boxes: Array) -> tuple[Array, Array]:
     """Distance [m] from `point` (..., 2) to each of `boxes` (..., B, 5), and the direction away from it.
 
     Returns (..., B) and unit vectors (..., B, 2), world frame. Inside and on the boundary the distance is 0 and the
@@ -41,7 +41,7 @@ def away_from_boxes(point, boxes):
     return distance, rotate(direction, jnp.broadcast_to(boxes[..., 4], distance.shape))
 
 
-def ellipse(r, step):
+def ellipse(r: Array, step: Array) -> tuple[Array, Array]:
     """Semi-minor axis b (...) [m] of Helbing's ellipse, eq. 4, and its gradient by r (..., 2).
 
     r (..., 2) leads from the other person, one focus, to oneself; the other focus is where it will be after `step`
@@ -111,7 +111,7 @@ class SocialForce:
     response: float = RESPONSE  #: time constant with which the body follows a commanded velocity [s]
 
     @property
-    def lead(self):
+    def lead(self) -> float:
         """By how much a command must lead the velocity per acceleration [s], for the body to get that acceleration.
 
         A body with the time constant T makes up 1 - (T / (T + h))^n of the difference in n implicit steps of h.
@@ -119,7 +119,7 @@ class SocialForce:
         missed = (self.response / (self.response + PHYSICS_STEP)) ** round(self.period / PHYSICS_STEP)
         return self.period / (1.0 - missed)
 
-    def __call__(self, state, boxes, goals, lcf=None):
+    def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array | None = None) -> Array:
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3). `lcf` has no meaning here and is ignored.
 
         state (..., K), boxes (B, 5) or (..., B, 5), goals (..., K, 2) [m]. The command is v + acceleration * lead.
@@ -130,7 +130,7 @@ class SocialForce:
         command = command * jnp.minimum(1.0, top_speed / jnp.maximum(norm(command), TINY))[..., None]
         return face_velocity(command, jnp.asarray(state.yaw, jnp.float32), self.period)
 
-    def acceleration(self, state, boxes, goals):
+    def acceleration(self, state: CrowdState, boxes: Array, goals: Array) -> Array:
         """Sum of the social forces (..., K, 2) [m/s2]."""
         position, velocity = jnp.asarray(state.position, jnp.float32), jnp.asarray(state.velocity, jnp.float32)
         straight = unit(jnp.asarray(goals, jnp.float32) - position)

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
+from macid.geometry import Array
+from macid.state import CrowdState
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -11,6 +14,6 @@ class Standing:
 
     period: float = 0.02  #: between two decisions [s]
 
-    def __call__(self, state, boxes, goals, lcf):
+    def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array) -> Array:
         """No velocity [m/s], no yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
         return jnp.zeros((*state.position.shape[:-1], 3), jnp.float32)

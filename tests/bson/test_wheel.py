@@ -35,7 +35,7 @@ def test_an_installed_wheel_finds_its_assets_and_steps(installed):
         "env.step(env.action_space.sample()); print('stepped')"
     )
     lines = run(installed, code).splitlines()
-    assert lines[0] == str(installed / "macid" / "_assets")
+    assert lines[0] == str(installed / "macid" / "_assets") and (installed / "macid" / "py.typed").exists()
     assert "paper" in lines[1] and lines[2:] == ["200", "stepped"]
 
 
