@@ -11,4 +11,6 @@ ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
 }
 
 for _id, _kwargs in ENVIRONMENTS.items():  # by name: MuJoCo and JAX are loaded when one is made
-    _gymnasium.register(_id, "bson.env:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs)
+    _gymnasium.register(
+        _id, "bson.env:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs
+    )

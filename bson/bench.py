@@ -5,12 +5,15 @@ import itertools
 import os
 import platform
 import time
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 
 from bson import tracks
 from bson.episodes.session import Session
 from bson.evaluate import versions
+from bson.simulation.engines.base import Engine
 from bson.task import TaskConfig
 
 PEOPLE = (24, 50, 100, 200)
@@ -40,18 +43,19 @@ class _Stopwatch:
         return timed
 
 
-def measure_speed(config, sensors, nworld, seconds=2.0):
+def measure_speed(config: TaskConfig, sensors: Sequence[Any], nworld: int, seconds: float = 2.0) -> tuple[float, float]:
     """Control steps/s of all worlds together, and MuJoCo's share of the wall time, stepping for about `seconds` [s].
 
     Counted are physics, pedestrians, sensors, observation and reward, and the resets of worlds that end.
     """
-    session = Session(config, tracks.LocalTrack(sensors), nworld, seeds=range(nworld))
+    session = Session(config, tracks.LocalTrack(tuple(sensors)), nworld, seeds=range(nworld))
     ids = np.arange(nworld)
-    session.reset(ids, ids)
+    session.reset(ids, range(nworld))
     action = np.tile(_ACTION, (nworld, 1))
     for _ in range(5):  # compile and warm up
         session.step(ids, action)
-    watch = session.world.engine = _Stopwatch(session.world.engine)
+    watch = _Stopwatch(session.world.engine)
+    session.world.engine = cast(Engine, watch)
     steps, begin = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - begin) < seconds:
         _, _, terminated, truncated = session.step(ids, action)
@@ -61,7 +65,7 @@ def measure_speed(config, sensors, nworld, seconds=2.0):
     return steps * nworld / elapsed, watch.seconds / elapsed
 
 
-def machine():
+def machine() -> str:
     """One line on the machine and the versions."""
     model = platform.processor() or platform.machine()
     try:
@@ -73,7 +77,14 @@ def machine():
     return f"{model}, {os.cpu_count()} CPUs; mujoco {made_with['mujoco']}, jax {made_with['jax']}"
 
 
-def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0, model="macid", show=print):
+def run(
+    people: Sequence[int] = PEOPLE,
+    batches: Sequence[int] = BATCHES,
+    sensors: Sequence[str] = ("none", "lidar2d"),
+    seconds: float = 2.0,
+    model: str = "macid",
+    show: Callable[[str], object] = print,
+) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
     Raises ValueError for a sensor set that is not among SENSORS.
@@ -93,7 +104,9 @@ def run(people=PEOPLE, batches=BATCHES, sensors=("none", "lidar2d"), seconds=2.0
     return rows
 
 
-def measure_learning(algo, config, nworld, seconds=20.0):
+def measure_learning(
+    algo: str, config: dict[str, Any], nworld: int, seconds: float = 20.0
+) -> tuple[float, float, float]:
     """Control steps/s of all worlds together while `algo` learns in them for about `seconds` [s] (whole rounds of
     collecting and updating), and the shares of the wall time that its updates and MuJoCo take.
 
@@ -109,7 +122,8 @@ def measure_learning(algo, config, nworld, seconds=20.0):
 
         def __init__(self):
             super().__init__()
-            self.begin = self.elapsed = None
+            self.begin: float | None = None
+            self.elapsed: float | None = None
             self.collecting = self.rounds = 0
 
         def _on_rollout_start(self):
@@ -133,18 +147,24 @@ def measure_learning(algo, config, nworld, seconds=20.0):
     if hasattr(hyperparameters, "learning_starts"):
         hyperparameters = dataclasses.replace(hyperparameters, learning_starts=nworld)
     env = FeatureVecEnv(nworld, seed=0, **config)
-    watch = env.world.engine = _Stopwatch(env.world.engine)
+    watch = _Stopwatch(env.world.engine)
+    env.world.engine = cast(Engine, watch)
     timer = Timer()
     with one_thread():
         hyperparameters.build(env, seed=0).learn(10**12, callback=timer, log_interval=None)
-    return (
-        (timer.steps - timer.first) / timer.elapsed,
-        1.0 - timer.collecting / timer.elapsed,
-        watch.seconds / timer.elapsed,
-    )
+    elapsed = timer.elapsed
+    assert elapsed is not None  # learning ends once it is known
+    return (timer.steps - timer.first) / elapsed, 1.0 - timer.collecting / elapsed, watch.seconds / elapsed
 
 
-def run_learning(algos=LEARNERS, people=(24,), batches=(16,), seconds=20.0, model="macid", show=print):
+def run_learning(
+    algos: Sequence[str] = LEARNERS,
+    people: Sequence[int] = (24,),
+    batches: Sequence[int] = (16,),
+    seconds: float = 20.0,
+    model: str = "macid",
+    show: Callable[[str], object] = print,
+) -> list[dict[str, Any]]:
     """Prints the table of training speeds, a line a case as it is measured; returns its rows as dicts.
 
     Raises ValueError for an algorithm that is not among LEARNERS.

@@ -7,6 +7,8 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,16 @@ _CHUNK = 10  # control steps that the host asks for at once
 _LONGEST = 600.0  # that a case of its own process may take [s]
 
 
-def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0, engine=None, workers=None, **config):
+def measure(
+    sensor: str = "lidar2d",
+    people: int = 24,
+    worlds: int = 4096,
+    model: str = "macid",
+    seconds: float = 5.0,
+    engine: Any = None,
+    workers: int | None = None,
+    **config: Any,
+) -> dict[str, Any]:
     """A row of the table, as a dict: control steps/s of all worlds together, in this process.
 
     Counted are physics, pedestrians, sensors, observation and reward, and the episodes that begin.
@@ -82,7 +93,15 @@ def measure(sensor="lidar2d", people=24, worlds=4096, model="macid", seconds=5.0
     }
 
 
-def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=None, workers=None, **hyperparameters):
+def measure_training(
+    people: int = 24,
+    worlds: int = 4096,
+    model: str = "macid",
+    seconds: float = 5.0,
+    engine: dict[str, Any] | None = None,
+    workers: int | None = None,
+    **hyperparameters: Any,
+) -> dict[str, Any]:
     """As `measure`: control steps/s with 720 beams while PPO learns from them."""
     import jax
 
@@ -97,7 +116,7 @@ def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=
     drawn = time.perf_counter()
     *_, (learner, stream, _) = trainer.run(learner, stream, 2)
     compiled = time.perf_counter()
-    updates, trainer.worlds.pool.waited = 0, 0.0
+    updates, figures, trainer.worlds.pool.waited = 0, {}, 0.0
     while (elapsed := time.perf_counter() - compiled) < seconds:
         *_, (learner, stream, figures) = trainer.run(learner, stream, 4)
         jax.block_until_ready(learner)
@@ -121,7 +140,7 @@ def measure_training(people=24, worlds=4096, model="macid", seconds=5.0, engine=
     }
 
 
-def measure_score(score, episodes=100, engine=None):
+def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None = None) -> dict[str, Any]:
     """How fast the learned policy `score` is scored on the suite `paper`, and its SNS in each episode."""
     from bson.interfaces.play import LearnedOnDevice, play
     from bson.metrics import measure as metrics_of
@@ -143,7 +162,7 @@ def measure_score(score, episodes=100, engine=None):
     }
 
 
-def device():
+def device() -> str:
     """The device that the worlds are on, in words."""
     import jax
 
@@ -151,7 +170,15 @@ def device():
     return f"{len(jax.devices())} x {first.device_kind} ({first.platform})"
 
 
-def run(people=PEOPLE, worlds=WORLDS, sensors=("none", "lidar2d"), seconds=5.0, model="macid", train=False, show=print):
+def run(
+    people: Sequence[int] = PEOPLE,
+    worlds: Sequence[int] = WORLDS,
+    sensors: Sequence[str] = ("none", "lidar2d"),
+    seconds: float = 5.0,
+    model: str = "macid",
+    train: bool = False,
+    show: Callable[..., object] = print,
+) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
     train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled.

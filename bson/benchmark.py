@@ -17,9 +17,10 @@ import json
 import pathlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from bson.episodes.record import Episode
 from bson.results import Results
 from macid.executors import Executor, make_executor
 from macid.files import (
@@ -160,6 +161,7 @@ def evaluate(
         films, why_not = _films(played, cells, seen, folder / "videos", videos, name, quiet)
         report = make_report(content, [e for each in played for e in each], films, why_not)
         write_bytes(folder / "report.html", report.encode())
+        assert unfinished is not None  # as there is a folder
         unfinished.discard()
     return dataclasses.replace(
         found, written=(folder / "results.json", folder / "report.html", *(path for path, _ in films))
@@ -207,7 +209,7 @@ def _bar(name, several, quiet, cell, without_robot, total, done):
         yield progress
 
 
-def to_film(played, number):
+def to_film(played: Sequence[Sequence[Episode]], number: int) -> list[tuple[int, Episode, str]]:
     """Which episodes to film, as (the cell's place, the episode, what to tell of it).
 
     played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
@@ -309,7 +311,7 @@ def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str
         Tile(cell["grades"], cell["summary"].get(metric), *cell["intervals"].get(metric, (None, None)))
         for cell in cells
     ]
-    values = [end for tile in tiles if tile.value is not None for end in (tile.low, tile.high)]
+    values = [end for tile in tiles if tile.value is not None for end in (tile.low, tile.high) if end is not None]
     share = known[metric].unit == "share" or metric in ("RC", "SP", "PE", "SPL")
     most = 100.0 if metric == "SNS" else 1.0 if share else max([*values, 1e-9])
     scale = Scale(min([0.0, *values]), max([most, *values]), known[metric].better or "up")
@@ -393,7 +395,7 @@ def film(
 
 
 @contextlib.contextmanager
-def agents_extra():
+def agents_extra() -> Iterator[None]:
     """Tells what to install where the extra `agents` is missing."""
     try:
         yield
@@ -436,7 +438,15 @@ def train(
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
 
 
-def train_configs(configs, out, resume=False, tensorboard=False, executor="local", ray_address=None, workers=None):
+def train_configs(
+    configs: Sequence[Any],
+    out: str | pathlib.Path,
+    resume: bool = False,
+    tensorboard: bool = False,
+    executor: str | Executor = "local",
+    ray_address: str | None = None,
+    workers: int | None = None,
+) -> list[pathlib.Path]:
     """As `train`, of any TrainConfigs."""
     with agents_extra():
         from bson.learning import train as training

@@ -5,6 +5,8 @@ import dataclasses
 import pathlib
 import shlex
 import sys
+from collections.abc import Sequence
+from typing import Any
 
 from macid import start
 from macid.command import (
@@ -33,7 +35,8 @@ _MOST_FILMS = 10_000
 
 
 def _overrides(pairs):
-    """`KEY=VALUE` words as a dict of TaskConfig's fields; values are Python literals or plain text. Raises UsageError."""
+    """`KEY=VALUE` words as a dict of TaskConfig's fields; values are Python literals or plain text. Raises
+    UsageError."""
     from bson.task import TaskConfig
     from macid.documents import check_values, shown
 
@@ -216,7 +219,9 @@ def _train_warp(args):
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.tensorboard or args.executor != "local":
-        raise UsageError("--engine warp trains one seed in this process: leave --seeds, --tensorboard and --executor out.")
+        raise UsageError(
+            "--engine warp trains one seed in this process: leave --seeds, --tensorboard and --executor out."
+        )
     from tqdm import tqdm
 
     from bson.learning.device_ppo import DeviceTrainConfig, train
@@ -253,8 +258,7 @@ def _bench(args):
     given = {name: value for name, value in given.items() if value is not None}
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises what is wrong with it
-    if args.out:
-        path = check_file(args.out, "file for --out")
+    path = check_file(args.out, "file for --out") if args.out else None
     if args.engine == "warp":
         rows = _bench_warp(args, given)
     elif args.train is None:
@@ -264,7 +268,7 @@ def _bench(args):
     else:
         with agents_extra():
             rows = bench.run_learning(**given, model=args.pedestrian_model)
-    if args.out:
+    if path is not None:
         with new_folder(path.parent):
             write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
@@ -279,7 +283,9 @@ def _bench_warp(args, given):
     if args.train is None:
         return bench_warp.run(**given, model=args.pedestrian_model)
     if algos not in (None, ["ppo"]) or args.sensors is not None:
-        raise UsageError("--engine warp measures training of ppo on the 2D LIDAR: leave other algorithms and --sensors out.")
+        raise UsageError(
+            "--engine warp measures training of ppo on the 2D LIDAR: leave other algorithms and --sensors out."
+        )
     return bench_warp.run(**given, sensors=("lidar2d",), model=args.pedestrian_model, train=True)
 
 
@@ -309,7 +315,9 @@ def _list(args):
 
 
 def _add_setting(command):
-    command.add_argument("--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]")
+    command.add_argument(
+        "--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]"
+    )
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
     command.add_argument(
@@ -371,9 +379,9 @@ def _add_evaluation(command, out, suite):
     command.set_defaults(run=_evaluate)
 
 
-def parser():
+def parser() -> Parser:
     """The command's parser."""
-    defaults = {"formatter_class": HelpFormatter}
+    defaults: dict[str, Any] = {"formatter_class": HelpFormatter}
     root = Parser(prog="bson", description="A benchmark for robots that drive among people.")
     commands = root.add_subparsers(dest="command", required=True, metavar="command")
 
@@ -390,12 +398,16 @@ def parser():
     compare = commands.add_parser(
         "compare", help="results beside each other, with paired differences from the first", **defaults
     )
-    compare.add_argument("results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    compare.add_argument(
+        "results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json"
+    )
     compare.add_argument("--out", type=name, default="comparison", help="folder for compare.json and compare.html")
     compare.set_defaults(run=_compare)
 
     leaderboard = commands.add_parser("leaderboard", help="results as a Markdown table, sorted by SNS", **defaults)
-    leaderboard.add_argument("results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json")
+    leaderboard.add_argument(
+        "results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json"
+    )
     leaderboard.add_argument(
         "--readme",
         type=name,
@@ -407,7 +419,9 @@ def parser():
     render = commands.add_parser("render", help="film one seed", **defaults)
     _add_setting(render)
     render.number("--seed", int, 0, MOST_SEED, default=0)
-    render.number("--step", int, -MOST_SEED, MOST_SEED, default=None, help="of a .png: the control step (default: halfway)")
+    render.number(
+        "--step", int, -MOST_SEED, MOST_SEED, default=None, help="of a .png: the control step (default: halfway)"
+    )
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
@@ -424,7 +438,9 @@ def parser():
     export.set_defaults(run=_export)
 
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
-    train.add_argument("--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo")
+    train.add_argument(
+        "--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo"
+    )
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
@@ -433,7 +449,9 @@ def parser():
         "--engine", choices=("native", "warp"), default="native", help="warp: ppo in MJX-Warp, on a GPU if there is one"
     )
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
-    train.number("--seeds", int, 1, MOST_SEEDS, default=1, help="how many, one after the other, or at once with --executor ray")
+    train.number(
+        "--seeds", int, 1, MOST_SEEDS, default=1, help="how many, one after the other, or at once with --executor ray"
+    )
     train.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
     )
@@ -445,10 +463,14 @@ def parser():
     train.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
-    bench.add_argument("--train", type=name, nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)")
+    bench.add_argument(
+        "--train", type=name, nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)"
+    )
     bench.number("--pedestrians", int, 0, MOST_PEOPLE, nargs="+", help="(default: 24 50 100 200; training: 24)")
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", help="at once (default: 1 16; training: 16)")
-    bench.add_argument("--sensors", type=name, nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)")
+    bench.add_argument(
+        "--sensors", type=name, nargs="+", help="none, or as --sensor of evaluate (default: none lidar2d)"
+    )
     bench.number("--seconds", float, 0.0, 1e6, above=True, help="time a case (default: 2; training: 20)")
     bench.add_argument("--pedestrian-model", type=name, default="macid", help="(default: macid)")
     bench.add_argument(
@@ -468,7 +490,7 @@ def parser():
 _DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int | str | None:
     """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
     if argv is None:
         return start.run("bson", start.bson_command)

@@ -5,10 +5,13 @@ Episodes are paired by cell and seed: there the robots met the same people on th
 
 import json
 import math
+from collections.abc import Sequence
+from typing import Any
 
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, METRICS, TAKEN, metrics_of, summarise
 from bson.page import BETTER, DASH, numbers, plural, render
+from bson.results import Results
 from macid.documents import shown
 
 MAIN = (
@@ -19,7 +22,7 @@ BY_CELL = ("SNS", "success", "Coll")
 LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance in more than 5%
 
 
-def check_comparable(runs):
+def check_comparable(runs: Sequence[Results]) -> None:
     """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting.
 
     runs: bson.results.Results.
@@ -54,7 +57,7 @@ def _setting(value):
     return "none" if value is None else shown(value)
 
 
-def labels(runs):
+def labels(runs: Sequence[Results]) -> list[str]:
     """A name for each run: its agent, with the source where the agent alone doesn't tell them apart."""
     agents = [run.content["agent"] for run in runs]
     return [
@@ -83,7 +86,7 @@ def _measured(run, keys, names):
     return [{name: math.inf if rows[key][name] is None else rows[key][name] for name in names} for key in keys]
 
 
-def differences(measured, reference):
+def differences(measured: list[dict[str, float]], reference: list[dict[str, float]]) -> dict[str, Any]:
     """Mean paired differences `measured` - `reference`, dicts of `measure` of the same episodes, with 95% intervals.
 
     {metric: {"mean", "low", "high", "count", "differs"}}. count: pairs in which both are finite; differs: whether the
@@ -123,7 +126,7 @@ def _notes(runs, names, keys):
     return notes
 
 
-def compare(runs):
+def compare(runs: Sequence[Results]) -> dict[str, Any]:
     """The content of compare.json: each run's summary over the episodes that all have, and differences from the first.
 
     Raises ValueError where the runs are of different suites, versions of a suite or settings, or share no episode.
@@ -132,7 +135,9 @@ def compare(runs):
         raise ValueError("Name at least two results to compare.")
     check_comparable(runs)
     keys, names, first = _shared(runs), labels(runs), runs[0].content
-    metrics = [m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])]
+    metrics = [
+        m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])
+    ]
     cells = []
     for cell in first["cells"] if len(first["cells"]) > 1 else ():
         if within := [key for key in keys if key[0] == cell["name"]]:
@@ -181,7 +186,7 @@ def _aligned(lines):
     return ["  ".join(word.ljust(w) for word, w in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def format_comparison(content):
+def format_comparison(content: dict[str, Any]) -> str:
     """`content` of compare.json as plain text: the main metrics, their differences, and the SNS cell by cell."""
     runs = content["runs"]
     first, others = runs[0]["name"], runs[1:]
@@ -284,7 +289,7 @@ def _cells(content):
     ]
 
 
-def make_page(content):
+def make_page(content: dict[str, Any]) -> str:
     """compare.html as text, of the `content` of compare.json."""
     runs, cells = content["runs"], content["cells"]
     documents = {

@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from typing import Any
 
 import dm_env
 import mujoco
@@ -11,14 +12,15 @@ from dm_env import specs
 
 from bson.env import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.episodes.session import Session
+from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import make_track
+from bson.tracks import LocalTrack, make_track
 from macid.drawing import close_before_all_else
 
 
 def _import_dm_control():
-    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL is
-    missing, without pictures. (It would try GLFW first, which needs a display.)"""
+    """dm_control's Physics and MjModel, drawing by EGL where neither a display nor MUJOCO_GL says otherwise; where EGL
+    is missing, without pictures. (It would try GLFW first, which needs a display.)"""
 
     def wanted():
         from dm_control.mujoco import Physics
@@ -44,7 +46,7 @@ Physics, MjModel = _import_dm_control()
 close_before_all_else()  # dm_control has an EGL of its own, which it ends at exit
 
 
-def load(track="local", sensor="lidar2d", seed=None, **config):
+def load(track: str = "local", sensor: Any = "lidar2d", seed: int | None = None, **config: Any) -> "Environment":
     """The environment of a track and a sensor (as in `gymnasium.make`'s ids) and TaskConfig's fields `config`.
 
     seed: of the first episode; later episodes' seeds come from it, as in `bson.env.BsonEnv`. Raises ValueError, naming
@@ -59,7 +61,7 @@ class Environment(Rebuilt, dm_env.Environment):
     The discount is 0 at the goal, and 1 at the horizon, where the episode is cut off.
     """
 
-    def __init__(self, config: TaskConfig, track, seed=None):
+    def __init__(self, config: TaskConfig, track: LocalTrack, seed: int | None = None):
         self._arguments = {"config": config, "track": track, "seed": seed}
         seed = plain_seed(seed)
         self._session, self._track, self._seed = Session(config, track, seeds=[seed]), track, seed
@@ -67,6 +69,7 @@ class Environment(Rebuilt, dm_env.Environment):
         self._make_physics()
 
     _not_copied = ("physics",)
+    physics: Any  #: dm_control's Physics; None once closed
 
     def _make_physics(self):
         self.physics = Physics.from_model(MjModel(self.world.scene))
@@ -82,7 +85,7 @@ class Environment(Rebuilt, dm_env.Environment):
                 np.copyto(made.physics.data.sensordata, self.physics.data.sensordata)
         return made
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         if self.physics is not None:
             self.physics.free()
@@ -90,11 +93,11 @@ class Environment(Rebuilt, dm_env.Environment):
         self._session.close()
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World (nworld = 1), for whoever needs more than the observation."""
         return self._session.world
 
-    def reset(self):
+    def reset(self) -> dm_env.TimeStep:
         """Begins an episode."""
         (seed,) = self._session.next_seeds([0]) if self._seed is None else (self._seed,)
         self._seed, self._over = None, False
@@ -102,7 +105,7 @@ class Environment(Rebuilt, dm_env.Environment):
         self._mirror()
         return dm_env.restart(first(observation))
 
-    def step(self, action):
+    def step(self, action: Any) -> dm_env.TimeStep:
         """One control step under `action` (2,) in [-1, 1]; after an episode's last step, the next episode's first."""
         if self._over:
             return self.reset()
@@ -114,12 +117,12 @@ class Environment(Rebuilt, dm_env.Environment):
         end = dm_env.termination if terminated[0] else dm_env.truncation if truncated[0] else dm_env.transition
         return end(float(reward[0]), first(observation))
 
-    def observation_spec(self):
+    def observation_spec(self) -> Any:
         """A dict of BoundedArrays."""
         spaces = self._track.space(self._session.config).spaces
         return {name: _spec(space, name) for name, space in spaces.items()}
 
-    def action_spec(self):
+    def action_spec(self) -> Any:
         """(2,) in [-1, 1]: shares of top speed and top yaw rate."""
         return _spec(ACTION_SPACE, "action")
 

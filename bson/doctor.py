@@ -10,6 +10,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
 
 from macid import start
 from macid.files import run_command, start_mujoco
@@ -24,7 +25,7 @@ def _versions():
 
 
 def _python():
-    if sys.version_info < (3, 11):
+    if tuple(map(int, platform.python_version_tuple()[:2])) < (3, 11):
         raise RuntimeError(f"Python {platform.python_version()} is too old: use 3.11 or newer")
     return platform.python_version()
 
@@ -38,8 +39,8 @@ def _name():
 def _namesakes():
     if others := start.others():
         raise RuntimeError(
-            f"{' and '.join(others)} also installs a package bson. One of the two is broken, and uninstalling it deletes "
-            "a file of ours"
+            f"{' and '.join(others)} also installs a package bson. One of the two is broken, and uninstalling it "
+            "deletes a file of ours"
         )
     return "no other package of the name bson"
 
@@ -103,7 +104,8 @@ def _trial():
 
 
 def _read(cameras):
-    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be right."""
+    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be
+    right."""
     import numpy as np
 
     from bson.sensors import Camera
@@ -153,7 +155,7 @@ CHECKS = (
 _OF_BSON = ("versions", "assets", "physics", "sensors", "cameras")  # checks that import it
 
 
-def run(show=print):
+def run(show: Callable[[str], object] = print) -> bool:
     """Prints a line a check; returns whether all that is needed is there (pictures and cameras are not)."""
     well, ours = True, start.shadowed() is None
     for name, check, needed, remedy in CHECKS:
@@ -168,7 +170,7 @@ def run(show=print):
     return well
 
 
-def command():
+def command() -> int | str | None:
     """`bson doctor` as a command; its exit code."""
 
     def examine():

@@ -2,20 +2,23 @@
 
 import copy
 import dataclasses
+from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
-from bson.simulation.world import check_worlds
+from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
 from bson.tracks import make_track, sensor_documents
 from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
+_VECTOR_METADATA = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
 
 def _check_render_mode(render_mode):
@@ -23,7 +26,7 @@ def _check_render_mode(render_mode):
         raise ValueError(f"Unknown render_mode {render_mode!r}. Choose None or 'rgb_array'.")
 
 
-def checked_action(action, shape):
+def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     """`action` as floats of `shape`. Raises ValueError for what are no finite numbers of that shape."""
     try:
         action = np.asarray(action, dtype=float)
@@ -36,7 +39,7 @@ def checked_action(action, shape):
     return action
 
 
-def check_seed(seed):
+def check_seed(seed: Any) -> None:
     """Raises ValueError for what is no seed, or list of seeds, of an episode."""
     seeds = [] if seed is None else np.ravel(np.array(seed, dtype=object))
     for one in seeds:
@@ -44,7 +47,7 @@ def check_seed(seed):
             raise ValueError(f"A seed must be a whole number from 0 to 2**62 - 1, not {one!r}.")
 
 
-def plain_seed(seed):
+def plain_seed(seed: Any) -> Any:
     """`seed` as a Python int where it is one of NumPy's. Raises ValueError as check_seed does."""
     check_seed(seed)
     return int(seed) if isinstance(seed, np.integer) else seed
@@ -68,7 +71,7 @@ def _episode_config(config, track, options):
     return changed
 
 
-def frames_per_second(config):
+def frames_per_second(config: TaskConfig) -> float:
     """Of a film of what happens in `config`, as fast as it happens."""
     fps = 1.0 / config.control_period
     return round(fps) if abs(fps - round(fps)) < 1e-6 else fps
@@ -76,7 +79,7 @@ def frames_per_second(config):
 
 def _document(value):
     """`value`, an argument of `make`, as JSON has it; what comes of it is taken for the same argument."""
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):
         return {name: _document(each) for name, each in value.items()}
@@ -90,10 +93,11 @@ def _rebuilt(kind, arguments):
 
 
 class Rebuilt:
-    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play on
-    equally; what it draws with is left out."""
+    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play
+    on equally; what it draws with is left out."""
 
-    _not_copied = ()
+    _arguments: dict[str, Any]
+    _not_copied: tuple[str, ...] = ()
 
     def __reduce__(self):
         return _rebuilt, (type(self), self._arguments), {"_spec": getattr(self, "_spec", None)}
@@ -108,15 +112,13 @@ class Rebuilt:
 class Specified(Rebuilt):
     """Gymnasium's spec of an environment, with arguments that JSON can have."""
 
-    _spec = None
+    _spec: EnvSpec | None = None
 
-    @property
-    def spec(self):
+    def _told_spec(self):
         """The EnvSpec that it was made by, or None."""
         return self._spec
 
-    @spec.setter
-    def spec(self, spec):
+    def _note_spec(self, spec):
         if spec is not None:
             kwargs = {name: _document(value) for name, value in spec.kwargs.items() if name != "sensor"}
             if "sensor" in spec.kwargs:
@@ -124,6 +126,8 @@ class Specified(Rebuilt):
             spec = copy.copy(spec)
             spec.kwargs = kwargs
         self._spec = spec
+
+    spec: Any = property(_told_spec, _note_spec)  # Gymnasium has an attribute in its place
 
 
 class BsonEnv(Specified, gymnasium.Env):
@@ -145,8 +149,8 @@ class BsonEnv(Specified, gymnasium.Env):
     | goal | (2,) | position of the goal | robot, m |
     | velocity | (2,) | speed ahead, yaw rate | robot, m/s and rad/s |
     | imu | (6,) | specific force x, y, z; angular velocity x, y, z | robot, m/s2 and rad/s |
-    | lidar | (720,) | (Lidar2D) distances from -135 degrees (right) to +135 (left); 30 m where nothing is hit | robot, m |
-    | lidar3d | (16, 360) | (Lidar3D) distances, rows from -15 to +15 degrees, columns from behind over right, ahead, left; 100 m where nothing is hit | robot, m |
+    | lidar | (720,) | (Lidar2D) distances, -135 degrees (right) to +135 (left); at most 30 m | robot, m |
+    | lidar3d | (16, 360) | (Lidar3D) rows -15 to +15 degrees, columns from behind over right; up to 100 m | robot, m |
     | rgb | (120, 160, 3) | (Camera) uint8, the view ahead | - |
     | depth | (120, 160) | (Camera) distance along the camera's axis, 0.3 to 10 m | camera, m |
 
@@ -180,7 +184,7 @@ class BsonEnv(Specified, gymnasium.Env):
     | travelled | - | way driven | m |
     | collisions | - | steps in which the robot touched anything | steps of 0.02 s |
     | collisions_person | - | steps in which it touched a person | steps of 0.02 s |
-    | collisions_robot_on_person | - | of those: steps in which it moved towards a person that it touched, at more than 0.05 m/s | steps of 0.02 s |
+    | collisions_robot_on_person | - | of those: it moved towards the person at more than 0.05 m/s | steps of 0.02 s |
     | collisions_obstacle | - | steps in which it touched an obstacle | steps of 0.02 s |
     | collisions_wall | - | steps in which it touched an outer wall | steps of 0.02 s |
     | nearest_person | - | to the nearest person, surface to surface; infinity without any | m |
@@ -200,7 +204,14 @@ class BsonEnv(Specified, gymnasium.Env):
     metadata = _METADATA
     _not_copied = ("_film",)
 
-    def __init__(self, track="local", sensor="lidar2d", render_mode=None, seed=None, **config):
+    def __init__(
+        self,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: int | None = None,
+        **config: Any,
+    ):
         _check_render_mode(render_mode)
         self._arguments = {"track": track, "sensor": sensor, "render_mode": render_mode, "seed": seed, **config}
         seed = plain_seed(seed)
@@ -210,16 +221,19 @@ class BsonEnv(Specified, gymnasium.Env):
         self._track = make_track(track, sensor)
         self._session = Session(self.config, self._track, seeds=[seed])
         self._first_seed = seed
-        self._film = self._recorder = None
+        self._film = None
+        self._recorder: Recorder | None = None
         self.observation_space = self._track.space(self.config)
         self.action_space = ACTION_SPACE
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World (nworld = 1), for whoever needs more than the observation."""
         return self._session.world
 
-    def reset(self, *, seed=None, options=None):
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begins an episode; see the class."""
         seed = plain_seed(seed)
         super().reset(seed=seed)
@@ -238,15 +252,16 @@ class BsonEnv(Specified, gymnasium.Env):
             self._recorder = Recorder(self._session, 0)
         return first(observation), self._info()
 
-    def step(self, action):
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step; see the class."""
         action = checked_action(action, (2,))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         if self.render_mode is not None:
+            assert self._recorder is not None  # since the reset
             self._recorder.snap()
         return first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
-    def render(self):
+    def render(self) -> np.ndarray | None:
         """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
         if self.render_mode is None or self._recorder is None:
             return None
@@ -256,7 +271,7 @@ class BsonEnv(Specified, gymnasium.Env):
             self._film = Film(self.world.scene)
         return self._film.frame(self._recorder.episode(), -1)
 
-    def close(self):
+    def close(self) -> None:
         """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
         self._close_film()
         self._recorder = None
@@ -276,23 +291,23 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
     gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec` gives
-    bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
+    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec`
+    gives bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
     `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
-    metadata = {**_METADATA, "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = _VECTOR_METADATA
 
     def __init__(
         self,
-        num_envs=1,
-        track="local",
-        sensor="lidar2d",
-        render_mode=None,
-        seed=None,
-        autoreset_mode=AutoresetMode.NEXT_STEP,
-        nthread=0,
-        **config,
+        num_envs: int = 1,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        nthread: int = 0,
+        **config: Any,
     ):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
@@ -305,17 +320,17 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.config = TaskConfig().replace(**config)
         fps = frames_per_second(self.config)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode, "render_fps": fps}
-        track = make_track(track, sensor)
+        made = make_track(track, sensor)
         self._first_seed = seed
-        self._session = Session(self.config, track, num_envs, self._seeds(seed), nthread)
+        self._session = Session(self.config, made, num_envs, self._seeds(seed), nthread)
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, bool)
-        self.single_observation_space, self.single_action_space = track.space(self.config), ACTION_SPACE
+        self.single_observation_space, self.single_action_space = made.space(self.config), ACTION_SPACE
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World, for whoever needs more than the observation."""
         return self._session.world
 
@@ -327,7 +342,9 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
             raise ValueError(f"reset needs a seed, or {self.num_envs} of them, not {len(seeds)}.")
         return seeds
 
-    def reset(self, *, seed=None, options=None):
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begins an episode in every world, or in those of `options["reset_mask"]` (num_envs,) bool."""
         options = _episode_options(options)
         mask = options.pop("reset_mask", None)
@@ -350,16 +367,17 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         with self._session.setting(config):
             for index in ids:
                 if given[index] is not None:
-                    self._session.reseed([index], [given[index]])
-            seeds = [given[i] if given[i] is not None else self._session.next_seeds([i])[0] for i in ids]
+                    self._session.reseed([int(index)], [given[index]])
+            seeds = [given[i] if given[i] is not None else self._session.next_seeds([int(i)])[0] for i in ids]
             self._session.reset(ids, seeds)
         self._first_seed = None
         self._ended[ids] = False
         self.metadata = {**self.metadata, "render_fps": frames_per_second(config)}
         return self._session.observe(self._all), self._infos(self._all)
 
-    def step(self, actions):
-        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next instead."""
+    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step of every world. In the mode NextStep, a world whose episode ended begins its next
+        instead."""
         actions = checked_action(actions, (self.num_envs, 2))
         reward = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
@@ -381,7 +399,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
                 self._ended = done
         return self._session.observe(self._all), reward, terminated, truncated, {**self._infos(self._all), **extra}
 
-    def close_extras(self, **kwargs):
+    def close_extras(self, **kwargs: Any) -> None:
         """Frees all that it holds. Nothing can be stepped or reset then."""
         self._session.close()
 
@@ -408,6 +426,6 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         }
 
 
-def first(observation):
+def first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The observation of the first world, of a batch's."""
     return {name: value[0] for name, value in observation.items()}

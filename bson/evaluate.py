@@ -3,20 +3,33 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from bson.agents.contract import Setting, act, made_for, reset_agent
-from bson.episodes.record import Recorder
+from bson.episodes.record import Episode, Recorder
 from bson.episodes.session import Session
-from bson.metrics import METRICS, measure, metrics_of, summarise
+from bson.metrics import METRICS, Metric, measure, metrics_of, summarise
 from bson.simulation.world import World
+from bson.task import TaskConfig
+from bson.tracks import LocalTrack
 from macid import files
 
 BATCH = 16  # worlds at once
 
 
-def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=None, batch=BATCH, nthread=0):
+def run_episodes(
+    make_agent: Callable[[], Any],
+    config: TaskConfig,
+    track: LocalTrack,
+    seeds: Sequence[int],
+    agent_name: str = "agent",
+    progress: Callable[..., object] | None = None,
+    batch: int = BATCH,
+    nthread: int = 0,
+) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
@@ -59,17 +72,25 @@ def run_episodes(make_agent, config, track, seeds, agent_name="agent", progress=
     return [done[number] for number in range(len(seeds))]
 
 
-def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
+def pair(
+    config: TaskConfig,
+    episodes: Sequence[Episode],
+    progress: Callable[..., object] | None = None,
+    batch: int = BATCH,
+    nthread: int = 0,
+) -> list[Episode]:
     """`episodes` of one configuration, each with its pair: the same people for as long a time, without the robot.
 
     People begin as in the episode and go to the same goals; later goals are drawn from the same stream, in the order in
-    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called as
-    by `run_episodes`.
+    which people ask for them. An episode that failed, or that has its pair already, stays as it is. progress is called
+    as by `run_episodes`.
     """
     paired = list(episodes)
     todo = [number for number, episode in enumerate(episodes) if not episode.fault and episode.people_alone is None]
     todo.sort(key=lambda number: -len(episodes[number].pose))
-    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False) if todo else None
+    if not todo:
+        return paired
+    world = World(config, min(batch, len(todo)), nthread=nthread, with_robot=False)
     for first in range(0, len(todo), batch):
         numbers = todo[first : first + batch]
         ids, rows = np.arange(len(numbers)), np.array([len(episodes[number].pose) for number in numbers])
@@ -83,21 +104,27 @@ def pair(config, episodes, progress=None, batch=BATCH, nthread=0):
                 if ended:
                     fault = world.fault[index] and f"without the robot: {world.fault[index]}"
                     alone = np.array([row[index] for row in people])
-                    paired[numbers[index]] = dataclasses.replace(
-                        episodes[numbers[index]], people_alone=alone, fault=fault
-                    )
+                    number = numbers[int(index)]
+                    paired[number] = dataclasses.replace(episodes[number], people_alone=alone, fault=fault)
                 if progress:
                     progress(1, paired[numbers[index]] if ended else None)
     return paired
 
 
-def results(agent, suite, cells, played, own=(), **more):
+def results(
+    agent: str,
+    suite: str,
+    cells: Sequence[Any],
+    played: Sequence[Sequence[Episode]],
+    own: Sequence[Metric] = (),
+    **more: Any,
+) -> dict[str, Any]:
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
-    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a metric is finite; counts: how
-    many these are; metrics: what each is; cells: a summary of each; config, people: the first cell's; faults: the
-    episodes in which physics failed, with the last time [s] at which it had not: these are counted nowhere else. Raises
-    ValueError where no other is left.
+    played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a
+    metric is finite; counts: how many these are; metrics: what each is; cells: a summary of each; config, people: the
+    first cell's; faults: the episodes in which physics failed, with the last time [s] at which it had not: these are
+    counted nowhere else. Raises ValueError where no other is left.
     """
     faults = [
         {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
@@ -105,11 +132,11 @@ def results(agent, suite, cells, played, own=(), **more):
         for episode in episodes
         if episode.fault
     ]
-    played = [sound(episodes) for episodes in played]
-    if not any(played):
+    scored = [sound(episodes) for episodes in played]
+    if not any(scored):
         raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
     metrics = (*METRICS, *own)
-    measured = [[measure(episode, metrics) for episode in episodes] for episodes in played]
+    measured = [[measure(episode, metrics) for episode in episodes] for episodes in scored]
     summaries = [_summary(rows) for rows in measured]
     return {
         "agent": agent,
@@ -130,7 +157,7 @@ def results(agent, suite, cells, played, own=(), **more):
                 "episodes": len(episodes),
                 **summary,
             }
-            for cell, episodes, summary in zip(cells, played, summaries, strict=True)
+            for cell, episodes, summary in zip(cells, scored, summaries, strict=True)
         ],
         "episodes": [
             {
@@ -139,7 +166,7 @@ def results(agent, suite, cells, played, own=(), **more):
                 **{name: value if math.isfinite(value) else None for name, value in row.items()},
                 **_each_person(episode),
             }
-            for cell, episodes, rows in zip(cells, played, measured, strict=True)
+            for cell, episodes, rows in zip(cells, scored, measured, strict=True)
             for episode, row in zip(episodes, rows, strict=True)
         ],
         "faults": faults,
@@ -148,8 +175,8 @@ def results(agent, suite, cells, played, own=(), **more):
 
 
 def _each_person(episode):
-    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {} without
-    a pair."""
+    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {}
+    without a pair."""
     people = {
         name: [round(float(value), 4) if math.isfinite(value) else None for value in values]
         for name, values in episode.effects.items()
@@ -157,7 +184,7 @@ def _each_person(episode):
     return {"people": people} if people else {}
 
 
-def sound(episodes):
+def sound(episodes: Sequence[Episode]) -> list[Episode]:
     """Those of `episodes` in which physics did not fail."""
     return [episode for episode in episodes if not episode.fault]
 
@@ -176,12 +203,12 @@ def _summary(measured):
     }
 
 
-def versions():
+def versions() -> dict[str, str]:
     """What the results were made with."""
     return files.versions("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
 
 
-def format_summary(content):
+def format_summary(content: dict[str, Any]) -> str:
     """The score, then the other metrics by group, as plain text."""
     count = len(content["episodes"])
     lines = [

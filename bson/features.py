@@ -5,7 +5,12 @@ one runs into, as closeness, which is 0 from RANGE on. One scan does not tell wh
 control steps lie beside the present one. The functions take NumPy or JAX arrays.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+
+from macid.geometry import Array
 
 SECTORS = 36
 RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
@@ -15,14 +20,14 @@ TOP = (2.0, 2.0)  # the Jackal's top speed and yaw rate [m/s, rad/s]
 _GOAL_RANGE = 20.0  # [m]
 
 
-def closeness(lidar):
+def closeness(lidar: Array) -> Array:
     """Scans (..., beams) [m] as (..., SECTORS) in [0, 1], from right to left: 0 for RANGE and more, 1 at the sensor."""
     xp = lidar.__array_namespace__()
     sectors = lidar.reshape(*lidar.shape[:-1], SECTORS, -1).min(axis=-1)
     return xp.maximum(1.0 - sectors / RANGE, 0.0).astype(np.float32)
 
 
-def motion(observation, top=TOP):
+def motion(observation: Mapping[str, Array], top: Any = TOP) -> Array:
     """(..., 6): the goal's direction (2) in the robot frame, its distance on two scales, speed and yaw rate as shares
     of `top` (2,) [m/s, rad/s]."""
     goal = observation["goal"]
@@ -36,17 +41,17 @@ def motion(observation, top=TOP):
 class Features:
     """Features of `count` robots, with a memory of their last scans. top: see `motion`."""
 
-    def __init__(self, count, top=TOP):
+    def __init__(self, count: int, top: Any = TOP):
         self._top = top
         self._scans = np.zeros((count, SCANS[-1] + 1, SECTORS), np.float32)  # the latest first
 
-    def begin(self, rows, observation):
+    def begin(self, rows: Any, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """Features (len(rows), FEATURES) of the robots `rows` at an episode's start; observations with a leading
         axis."""
         self._scans[rows] = closeness(observation["lidar"])[:, None]
         return self._vector(rows, observation)
 
-    def step(self, rows, observation):
+    def step(self, rows: Any, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The same after a control step."""
         self._scans[rows, 1:] = self._scans[rows, :-1]
         self._scans[rows, 0] = closeness(observation["lidar"])
@@ -56,7 +61,7 @@ class Features:
         return vector(self._scans[rows], observation, self._top)
 
 
-def remember(scans, lidar, began):
+def remember(scans: Array, lidar: Array, began: Array) -> Array:
     """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); of robots whose
     episode `began` (N,) in that step, the reading is all there is."""
     xp = lidar.__array_namespace__()
@@ -65,7 +70,7 @@ def remember(scans, lidar, began):
     return xp.where(began[:, None, None], xp.broadcast_to(new, longer.shape), longer)
 
 
-def vector(scans, observation, top=TOP):
+def vector(scans: Array, observation: Mapping[str, Array], top: Any = TOP) -> Array:
     """Features (N, FEATURES) of robots with the `scans` (N, SCANS[-1] + 1, SECTORS) and `observation`; top: see
     `motion`."""
     xp = scans.__array_namespace__()

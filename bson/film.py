@@ -3,11 +3,16 @@
 Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl_problem()` says what is missing.
 """
 
+import itertools
 import math
+import pathlib
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from bson.episodes.record import Episode
 from macid import drawing, geometry, scene
 from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
@@ -30,12 +35,12 @@ class Film(drawing.Stage):
     samples: of anti-aliasing, 0 or 4; on a CPU, 4 takes twice the time.
     """
 
-    def __init__(self, model, scale=1.0, title="", samples=0):
+    def __init__(self, model: mujoco.MjModel, scale: float = 1.0, title: str = "", samples: int = 0):
         super().__init__(model, _SIZE, (_CHASE, _MAP, _FRONT), scale, samples)
         self.title = title
         self._camera = model.camera("robot/front").id
 
-    def frame(self, episode, step=-1, speed=None):
+    def frame(self, episode: Episode, step: int = -1, speed: float | None = None) -> np.ndarray:
         """The composed picture of `episode` at control step `step`.
 
         speed: of the playback, for the header.
@@ -67,7 +72,7 @@ class Film(drawing.Stage):
         self._panel(page, episode, step)
         return page
 
-    def map_pixel(self, episode, place):
+    def map_pixel(self, episode: Episode, place: Any) -> np.ndarray:
         """Where the map shows `place` (..., 2) [m]: (..., 2) pixels x, y of the picture, continuous."""
         return self.on_map(_MAP, *map_window(episode), place)
 
@@ -86,7 +91,7 @@ class Film(drawing.Stage):
         stride = max(1, round(0.4 / episode.period))
         first = max(0, step - round(_TRAIL / episode.period))
         indices = np.unique(np.append(np.arange(step, first, -stride), first))
-        for age, (i, j) in enumerate(zip(indices[:-1], indices[1:], strict=True)):
+        for age, (i, j) in enumerate(itertools.pairwise(indices)):
             alpha = 0.75 * (age + 1) / len(indices)
             for a, b, rgb in zip(episode.people[i], episode.people[j], lcf_colour(episode.lcf), strict=True):
                 self._ribbon(a[:2], b[:2], 0.8 * width, 0.004, [*(0.75 * rgb), alpha])
@@ -133,7 +138,10 @@ class Film(drawing.Stage):
         """Start, goal, robot, a scale and the north, on the map."""
         left, top, width, height = self.rect(_MAP)
         canvas = np.ascontiguousarray(page[top : top + height, left : left + width])
-        at = lambda place: self.map_pixel(episode, place) - (left, top)
+
+        def at(place):
+            return self.map_pixel(episode, place) - (left, top)
+
         unit = self.scale
         start, goal = at(episode.pose[0, :2]), at(episode.goal)
         metre = width / map_window(episode)[1]
@@ -150,7 +158,7 @@ class Film(drawing.Stage):
         drawing.polygon(canvas, arrow, (255, 200, 20))
         for place, text in ((start, "start"), (goal, "goal")):
             size, _ = drawing.measure(text, 0.44 * unit)
-            spot = place + (9 * unit, -9 * unit)
+            spot = place + np.array([9 * unit, -9 * unit])
             if spot[0] + size > width - 6 * unit:
                 spot[0] = place[0] - 9 * unit - size
             spot[1] = max(spot[1], 40 * unit)
@@ -220,7 +228,7 @@ def _hides(episode, step, eye):
     return (beside < 3 * RADIUS) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
 
 
-def map_window(episode):
+def map_window(episode: Episode) -> tuple[np.ndarray, float]:
     """Centre (2,) [m] and side [m] of the square that the map shows: the robot's way and the goal, with a margin."""
     places = np.vstack([episode.pose[:, :2], episode.goal])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -233,7 +241,16 @@ def map_window(episode):
     return np.clip(centre, middle - room, middle + room), float(span)
 
 
-def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.75, progress=None):
+def film(
+    model: mujoco.MjModel,
+    episode: Episode,
+    path: str | pathlib.Path,
+    fps: Any = 10,
+    max_frames: int = 300,
+    title: str = "",
+    scale: float = 0.75,
+    progress: Callable[..., object] | None = None,
+) -> Any:
     """Writes `episode` as the VP8 video `path` (.webm), which browsers play; returns the path.
 
     A longer episode than `max_frames` steps is thinned out evenly and plays faster; the header says how fast.
@@ -254,7 +271,14 @@ def film(model, episode, path, fps=10, max_frames=300, title="", scale=0.75, pro
     return drawing.write_webm(path, pictures(), len(steps), fps, progress)
 
 
-def still(model, episode, path, step=None, scale=1.0, title=""):
+def still(
+    model: mujoco.MjModel,
+    episode: Episode,
+    path: str | pathlib.Path,
+    step: int | None = None,
+    scale: float = 1.0,
+    title: str = "",
+) -> Any:
     """Saves `episode` at control step `step` (default: the middle) as the PNG `path`; returns the path."""
     step = len(episode.pose) // 2 if step is None else step
     with Film(model, scale, title, samples=4) as camera:

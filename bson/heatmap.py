@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,20 +22,20 @@ class Scale:
     better: str = "up"
     logarithmic: bool = False
 
-    def place(self, value):
+    def place(self, value: float) -> float:
         """In [0, 1] from the low end to the high one."""
         low, high, value = (
             math.log1p(x) if self.logarithmic else x for x in (self.low, self.high, max(value, self.low))
         )
         return min((value - low) / (high - low), 1.0)
 
-    def at(self, place):
+    def at(self, place: float) -> float:
         """The value at `place` in [0, 1]."""
         if self.logarithmic:
             return math.expm1(math.log1p(self.low) * (1 - place) + math.log1p(self.high) * place)
         return self.low * (1 - place) + self.high * place
 
-    def colours(self, value):
+    def colours(self, value: float) -> str:
         """CSS of a background, warm where it is worse and teal where it is better, and of text that is read on it."""
         goodness = self.place(value) if self.better == "up" else 1.0 - self.place(value)
         end = _BETTER if goodness > 0.5 else _WORSE
@@ -129,7 +131,7 @@ def _dots(tiles, scale, digits):
     return {"panels": None, "lines": [_line(tile, scale, digits) for tile in tiles], "zero": zero}
 
 
-def cell_maps(tiles, scale, heading, note="", digits=None):
+def cell_maps(tiles: Sequence[Tile], scale: Scale, heading: str, note: str = "", digits: int | None = None) -> Any:
     """`tiles`, all with the same axes (at least one), under `heading` and a smaller `note`, as HTML.
 
     digits: decimals, or as many as fit each."""

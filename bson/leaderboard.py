@@ -1,9 +1,12 @@
 """The leaderboard: results of `bson evaluate` as Markdown tables, one a suite, sorted by SNS, in a README or alone."""
 
+import pathlib
 import shlex
+from collections.abc import Sequence
 
 from bson.compare import check_comparable
 from bson.page import plural
+from bson.results import Results
 from macid.documents import read_bytes
 from macid.files import UsageError, check_file, named, write_bytes
 
@@ -72,7 +75,7 @@ def _caption(run):
     )
 
 
-def leaderboard(runs):
+def leaderboard(runs: Sequence[Results]) -> str:
     """Markdown: a table for each suite of `runs`, the best SNS first, and what it is of.
 
     Raises ValueError where runs of one suite differ in its version, setting or episodes.
@@ -92,7 +95,7 @@ def leaderboard(runs):
     return "\n\n".join(tables)
 
 
-def fill_readme(path, text):
+def fill_readme(path: str | pathlib.Path, text: str) -> None:
     """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError."""
     path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:

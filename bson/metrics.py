@@ -8,6 +8,7 @@ and what it is, with its threshold.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,19 +26,29 @@ PARTS = ("SNS", "RC", "Coll", "SP", "PE")
 GROUPS = ("score", "safety", "comfort", "efficiency", "others", "own")  # the last: of a user's own
 
 
-def route_completion(episode: Episode) -> float:
+class Driven(NamedTuple):
+    """What the parts of the score follow from."""
+
+    start_distance: float  #: to the goal [m]
+    final_distance: float  #: [m]
+    travelled: float  #: [m]
+    duration: float  #: [s]
+    collisions: int  #: steps in which the robot touched anything
+
+
+def route_completion(episode: Episode | Driven) -> float:
     """RC = 1 - d_f / d_i."""
     return 1.0 - episode.final_distance / episode.start_distance
 
 
-def path_efficiency(episode: Episode) -> float:
+def path_efficiency(episode: Episode | Driven) -> float:
     """PE = (d_i - d_f) / way driven, clipped to [0, 1]."""
     if episode.travelled <= 0:
         return 0.0
     return float(np.clip((episode.start_distance - episode.final_distance) / episode.travelled, 0.0, 1.0))
 
 
-def speed_score(episode: Episode) -> float:
+def speed_score(episode: Episode | Driven) -> float:
     """SP: the mean speed, from 0.5 m/s (0) to 1.5 m/s (1)."""
     low, high = SPEED_RANGE
     if episode.duration <= 0:
@@ -45,7 +56,7 @@ def speed_score(episode: Episode) -> float:
     return float(np.clip((episode.travelled / episode.duration - low) / (high - low), 0.0, 1.0))
 
 
-def sns(episode: Episode) -> float:
+def sns(episode: Episode | Driven) -> float:
     """Eq. 6 for one episode: RC gamma^c (50 PE + 50 SP).
 
     Where RC is below 0, collisions don't discount it: nothing that the robot does wrong brings the score nearer to 0.
@@ -121,7 +132,8 @@ class Metric:
 
 # fmt: off
 METRICS = (
-    Metric("SNS", "score", "", "up", sns, "RC * 0.95^Coll * (50 PE + 50 SP), of 100; an RC below 0 is not discounted by Coll"),
+    Metric("SNS", "score", "", "up", sns,
+           "RC * 0.95^Coll * (50 PE + 50 SP), of 100; an RC below 0 is not discounted by Coll"),
     Metric("RC", "score", "", "up", route_completion,
            "route completion, 1 - d_f / d_i; below 0 for who ends farther from the goal than it began"),
     Metric("Coll", "score", "steps", "down", lambda e: float(e.collisions),
@@ -182,8 +194,8 @@ METRICS = (
     Metric("speed_max", "efficiency", "m/s", "", lambda e: _over(np.max, _speed(e)), "greatest speed", minor=True),
 
     Metric("delay", "others", "s", "down", _effect("delay"),
-           "how much later people reach their first goal than without the robot (with --paired): mean over those whom it "
-           "came within 3.6 m of on their way there, and who get there"),
+           "how much later people reach their first goal than without the robot (with --paired): mean over those whom "
+           "it came within 3.6 m of on their way there, and who get there"),
     Metric("detour", "others", "m", "down", _effect("detour"),
            "how much farther people walk to their first goal than without the robot, beyond what brings them closer: "
            "mean over those whom it came within 3.6 m of on their way there"),
@@ -195,11 +207,13 @@ METRICS = (
 
 
 def _own(found, name):
-    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring says
-    what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
+    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring
+    says what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
     if not isinstance(found, Metric):
         if not callable(found):
-            raise UsageError(f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}.")
+            raise UsageError(
+                f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}."
+            )
         called = getattr(found, "__name__", type(found).__name__)
         what = " ".join((found.__doc__ or "a metric of one's own").split())
         found = Metric(called, "own", getattr(found, "unit", ""), getattr(found, "better", ""), found, what)
@@ -211,9 +225,13 @@ def _own(found, name):
     if found.name in TAKEN:
         raise UsageError(f"Metric '{name}': there is a {shown(found.name)} already; call it otherwise.")
 
+    own = found.of
+    if own is None:
+        raise UsageError(f"Metric '{name}' has no function: its `of` is None.")
+
     def of(episode):
         with METRIC_KIND.running(name, f"of seed {episode.seed}"):
-            value = found.of(episode)
+            value = own(episode)
             return float(value)
 
     return dataclasses.replace(found, group="own", of=of)
@@ -224,7 +242,8 @@ METRIC_KIND: Kind[Metric] = Kind("metric", {metric.name: metric for metric in ME
 
 
 def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
-    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is wrong."""
+    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is
+    wrong."""
     found = [METRIC_KIND.own_object(name) for name in names]
     called = [metric.name for metric in found]
     if twice := {name for name in called if called.count(name) > 1}:
@@ -235,7 +254,7 @@ def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
 def metrics_of(content: dict) -> tuple[Metric, ...]:
     """The metrics that the `content` of a results.json has, the user's own last."""
     own = [
-        Metric(name, "own", told["unit"], {"neither": ""}.get(told["better"], told["better"]), None, told["what"])
+        Metric(name, "own", told["unit"], "" if told["better"] == "neither" else told["better"], None, told["what"])
         for name, told in content.get("metrics", {}).items()
         if name not in TAKEN
     ]
@@ -244,14 +263,14 @@ def metrics_of(content: dict) -> tuple[Metric, ...]:
 
 def measure(episode: Episode, metrics: Sequence[Metric] = METRICS) -> dict[str, float]:
     """`metrics` of one episode, as a dict of floats in their order."""
-    return {metric.name: metric.of(episode) for metric in metrics}
+    return {metric.name: metric.of(episode) for metric in metrics if metric.of is not None}
 
 
-def spread_by_score(episodes: list[Episode], most: int) -> list[Episode]:
+def spread_by_score(episodes: Sequence[Episode], most: int) -> list[Episode]:
     """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
     ranked = sorted(episodes, key=sns)
     places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)
-    return [ranked[place] for place in np.unique(places).tolist()]
+    return [ranked[int(place)] for place in np.unique(places)]
 
 
 _DRAWN = 1 << 22  # values that are drawn at once, 32 MB

@@ -6,6 +6,7 @@ What a template is given is text, which it escapes, but for what another templat
 import base64
 import io
 import pathlib
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -15,7 +16,7 @@ DASH = Markup("&ndash;")  # where there is no value
 BETTER = {"up": Markup("&uarr;"), "down": Markup("&darr;"), "": ""}  # of a metric
 
 
-def numbers(*values, digits=None, signed=False):
+def numbers(*values: float, digits: int | None = None, signed: bool = False) -> list[str]:
     """`values` as texts with the same number of decimals: `digits`, by default what shows three digits of the largest.
 
     signed: a plus before what is above 0.
@@ -27,12 +28,12 @@ def numbers(*values, digits=None, signed=False):
     return [f"{'+' if signed and value > 0 else ''}{value:.{digits}f}" for value in rounded]
 
 
-def plural(count, noun):
+def plural(count: int, noun: str) -> str:
     """Such as "1 episode", "27 episodes"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
-def new_figure(*args, **kwargs):
+def new_figure(*args: Any, **kwargs: Any) -> Any:
     """A Matplotlib figure made without pyplot, so that no display or global state is touched."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -46,19 +47,19 @@ def _base64(content):
     return base64.b64encode(content).decode()
 
 
-def image(figure, caption, dots=130):
+def image(figure: Any, caption: str, dots: int = 130) -> Any:
     """A Matplotlib figure as HTML, at `dots` pixels an inch."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dots, facecolor="white")
     return _PARTS.image(_base64(buffer.getvalue()), caption)
 
 
-def video(path, caption):
+def video(path: pathlib.Path, caption: str) -> Any:
     """The .webm film `path` as HTML."""
     return _PARTS.video(_base64(path.read_bytes()), caption)
 
 
-def render(template, **content):
+def render(template: str, **content: Any) -> Markup:
     """HTML: the file `template` of the folder templates with `content` in it."""
     return Markup(_TEMPLATES.get_template(template).render(content))
 
@@ -71,4 +72,4 @@ _TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.globals["plural"] = plural
-_PARTS = _TEMPLATES.get_template("parts.html").module
+_PARTS: Any = _TEMPLATES.get_template("parts.html").module

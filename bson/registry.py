@@ -1,4 +1,5 @@
-"""Every kind of name that users of the benchmark give, in one table; each Kind stands with what it names (macid.registry)."""
+"""Every kind of name that users of the benchmark give, in one table; each Kind stands with what it names
+(macid.registry)."""
 
 import importlib
 

@@ -1,9 +1,12 @@
 """report.html: one self-contained page with the score, its parts, the suite's cells, ways, distributions and films."""
 
 import json
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from bson.episodes.record import Episode
 from bson.heatmap import Scale, Tile, cell_maps
 from bson.metrics import GROUPS, metrics_of, spread_by_score
 from bson.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
@@ -34,23 +37,27 @@ _DISTRIBUTIONS = (
 )
 
 
-def plot_distribution(values, least):
+def plot_distribution(values: Sequence[float | None], least: float) -> Any:
     """A histogram of `values`, with their mean; None doesn't enter. The axis covers at least 0 to `least`."""
+    from matplotlib.ticker import MaxNLocator
+
     figure = new_figure(figsize=(3.3, 1.9))
     axes = figure.subplots()
-    values = np.array([value for value in values if value is not None])
+    known = np.array([value for value in values if value is not None])
     axes.spines[["top", "right"]].set_visible(False)
-    axes.yaxis.get_major_locator().set_params(integer=True)
-    if not len(values):
+    locator = axes.yaxis.get_major_locator()
+    assert isinstance(locator, MaxNLocator)  # of a linear axis
+    locator.set_params(integer=True)
+    if not len(known):
         axes.text(0.5, 0.5, "no people", ha="center", va="center", transform=axes.transAxes)
         return figure
-    low, high = min(0.0, values.min()), max(least, values.max())
-    axes.hist(values, bins=np.linspace(low, high, 21), color=ACCENT, edgecolor="white", linewidth=0.6)
-    axes.axvline(values.mean(), color=BAD, linewidth=1.5)
+    low, high = min(0.0, known.min()), max(least, known.max())
+    axes.hist(known, bins=np.linspace(low, high, 21), color=ACCENT, edgecolor="white", linewidth=0.6)
+    axes.axvline(known.mean(), color=BAD, linewidth=1.5)
     return figure
 
 
-def plot_trajectory(episode):
+def plot_trajectory(episode: Episode) -> Any:
     """A map with the robot's way, black, from the dot to the star, and the people's, coloured by LCF, to the discs."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Circle, Rectangle
@@ -85,7 +92,7 @@ def plot_trajectory(episode):
     return figure
 
 
-def plot_score_over_lcf(episodes):
+def plot_score_over_lcf(episodes: Sequence[Episode]) -> Any:
     """None where nobody walks; else collision steps with people against the mean LCF of the people met within 3.6 m."""
     met = []
     for episode in episodes:
@@ -166,7 +173,7 @@ def _figures(values):
     return [DASH if values.get(name) is None else f"{values[name]:.{digits}f}" for name, _, _, digits, _ in _SHOWN]
 
 
-def grade_settings(cells):
+def grade_settings(cells: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     """What each grade of a suite's `cells` sets: {axis: {grade: {field: value}}}, where one axis alone decides it."""
     configs = [cell["config"] for cell in cells]
     varying = [field for field in configs[0] if any(config[field] != configs[0][field] for config in configs)]
@@ -210,7 +217,9 @@ def _amount(counts):
     return f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{counts[0]}"
 
 
-def make_report(content, episodes, videos=(), no_video=""):
+def make_report(
+    content: dict[str, Any], episodes: Sequence[Episode], videos: Sequence[Any] = (), no_video: str | None = ""
+) -> str:
     """The page as text.
 
     content: of results.json. episodes: those of its rows, in the same order. videos: (path, caption) pairs of .webm

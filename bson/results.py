@@ -38,9 +38,8 @@ class _Fault(msgspec.Struct):
     what: str
 
 
-# An episode: where and what it was, and its metrics, None where one is infinite.
-_Episode = msgspec.defstruct(
-    "_Episode",
+_SCORED = msgspec.defstruct(
+    "_Scored",
     [
         ("cell", _Name),
         ("seed", int),
@@ -48,6 +47,10 @@ _Episode = msgspec.defstruct(
         ("people", dict[str, list[float | None]] | msgspec.UnsetType, msgspec.UNSET),
     ],
 )
+
+
+class _Episode(_SCORED):
+    """Where and what an episode was, and its metrics, None where one is infinite."""
 
 
 _WHAT = "Name folders of bson evaluate (--out), or their results.json."
@@ -170,7 +173,7 @@ def _value(number):
     return math.inf if number is None else number
 
 
-def read_results(path):
+def read_results(path: str | pathlib.Path) -> dict[str, Any]:
     """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
     try:
         content = parse(path, "results", read_bytes(path, "results", MOST_BYTES), ".json")

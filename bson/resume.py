@@ -6,6 +6,8 @@ import io
 import json
 import os
 import pathlib
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +33,7 @@ from macid.registry import code_file
 _MOST_BASIS = 1 << 28  # bytes of basis.json, which has the settings of every cell
 _SEAL = hashlib.sha256().digest_size  # bytes at the end of an episode's file
 
+
 def _digest(contents):
     """A hash of some bytes. 12 hexadecimal digits."""
     digest = hashlib.sha256()
@@ -39,22 +42,24 @@ def _digest(contents):
     return digest.hexdigest()[:12]
 
 
-def files_digest(basis):
+def files_digest(basis: dict[str, Any]) -> str:
     """A hash of the settings, maps, robots and pedestrians' weights that results with this `basis` are of."""
     content = json.dumps([basis["cells"], basis["pedestrians"]], sort_keys=True)
     return _digest([content.encode()])
 
 
 def _agent_files(name):
-    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this package."""
+    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this
+    package."""
     path = code_file(name) or pathlib.Path(name)
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
 
-def basis(agent, track, cells, paired):
+def basis(agent: str, track: tuple[str, Any], cells: Sequence[Any], paired: bool) -> dict[str, Any]:
     """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
 
-    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and sensor.
+    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and
+    sensor.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
     policies = [load_policy(name) for name in sorted(filter(is_learned, models))]
@@ -76,11 +81,12 @@ def basis(agent, track, cells, paired):
 class Unfinished:
     """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from.
 
-    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the file: one
-    that was cut short or follows from something else is as if it were not there, so its episode is played anew.
+    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the
+    file: one that was cut short or follows from something else is as if it were not there, so its episode is played
+    anew.
     """
 
-    def __init__(self, out, basis, resume):
+    def __init__(self, out: pathlib.Path, basis: dict[str, Any], resume: bool):
         """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
         self._folder, self._basis = check_folder(out / "unfinished"), basis
         self._key = json.dumps(basis, sort_keys=True).encode()
@@ -105,7 +111,7 @@ class Unfinished:
     def _seal(self, content):
         return hashlib.sha256(self._key + content).digest()
 
-    def save(self, cell, episode):
+    def save(self, cell: Any, episode: Episode) -> None:
         """Keeps an episode of `cell`, or replaces it."""
         if not self._goes_on:
             self.discard()
@@ -117,7 +123,7 @@ class Unfinished:
         np.savez(content, **{name: value for name, value in fields.items() if value is not None})
         write_bytes(self._path(cell, episode.seed), content.getvalue() + self._seal(content.getvalue()))
 
-    def load(self, cell, seed):
+    def load(self, cell: Any, seed: int) -> Episode | None:
         """The Episode `seed` of `cell` as it was saved, or None."""
         path = self._path(cell, seed)
         if not self._goes_on or not path.is_file():
@@ -129,7 +135,7 @@ class Unfinished:
         with np.load(io.BytesIO(content)) as fields:
             return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
 
-    def discard(self):
+    def discard(self) -> None:
         """Removes it all."""
         remove_leftovers(self._folder)
         if not self._folder.is_dir():
@@ -145,9 +151,9 @@ def _read_basis(path):
     """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
     try:
         basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
-        problem = None if isinstance(basis, dict) else "it is no object"
+        if isinstance(basis, dict):
+            return basis
+        problem = "it is no object"
     except UsageError as error:
         problem = str(error).rstrip(".")
-    if problem:
-        raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
-    return basis
+    raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")

@@ -1,5 +1,5 @@
-"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that a
-drive description and an MJCF or URDF model tell of.
+"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that
+a drive description and an MJCF or URDF model tell of.
 
 A command is `(v, w)`: speed ahead [m/s] and yaw rate [rad/s], counter-clockwise. A pose is `(x, y, yaw)` in the world
 frame, that of the robot's base: x ahead, y left, z up, its origin the middle of the footprint.
@@ -21,17 +21,19 @@ A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
 | footprint.bottom, .top | that box's height above the ground [m], unless the model has a geom `hull` of its own |
 | mounts.NAME.position, .rpy | a place for a sensor in the base's frame [m], roll, pitch and yaw [rad] if it is turned |
 
-Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a sensor's
-`site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it (masses,
-inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as casters do; people and walls
-touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the Jackal's (robots/jackal.xml).
+Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a
+sensor's `site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it
+(masses, inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as
+casters do; people and walls touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the
+Jackal's (robots/jackal.xml).
 """
 
 import dataclasses
 import functools
 import hashlib
+import math
 import pathlib
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import msgspec
@@ -40,8 +42,9 @@ import numpy as np
 from msgspec import Meta
 
 from macid import assets, geometry
-from macid.documents import check_readable, number, read_bytes, read_document, shown, shown_path
+from macid.documents import check_readable, read_bytes, read_document, shown, shown_path
 from macid.files import UsageError
+from macid.geometry import Array
 from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
@@ -81,9 +84,15 @@ def _domain(name):
     return f"a number above 0, from {least:g} to {most:g} {unit}" if least else f"a number from 0 to {most:g} {unit}"
 
 
-def _bounded(name):
+def _whole(name):
+    """The bounds of a whole number, which stays whole."""
     least, most, _ = _BOUNDS[name]
-    return number(_domain(name), ge=least, le=most)
+    return Meta(description=_domain(name), ge=math.ceil(least), le=math.floor(most))
+
+
+def _real(name):
+    least, most, _ = _BOUNDS[name]
+    return Meta(description=_domain(name), ge=least, le=most)
 
 
 _Name = Annotated[str, Meta(min_length=1, max_length=1000, description="a name")]
@@ -100,19 +109,21 @@ class _Drive(msgspec.Struct, forbid_unknown_fields=True):
     kind: Literal["differential", "skid-steer"]
     left: _Wheels
     right: _Wheels
-    max_speed: _bounded("max_speed")
-    max_yaw_rate: _bounded("max_yaw_rate")
-    wheel_radius: _bounded("wheel_radius")
-    track: _bounded("track")
-    rolling_radius: _bounded("rolling_radius") | None = None
-    effective_track: _bounded("effective_track") | None = None
+    max_speed: Annotated[int, _whole("max_speed")] | Annotated[float, _real("max_speed")]
+    max_yaw_rate: Annotated[int, _whole("max_yaw_rate")] | Annotated[float, _real("max_yaw_rate")]
+    wheel_radius: Annotated[int, _whole("wheel_radius")] | Annotated[float, _real("wheel_radius")]
+    track: Annotated[int, _whole("track")] | Annotated[float, _real("track")]
+    rolling_radius: Annotated[int, _whole("rolling_radius")] | Annotated[float, _real("rolling_radius")] | None = None
+    effective_track: Annotated[int, _whole("effective_track")] | Annotated[float, _real("effective_track")] | None = (
+        None
+    )
     gain: _Gain | None = None
     max_torque: _Gain | None = None
 
 
 class _Footprint(msgspec.Struct, forbid_unknown_fields=True):
-    half_length: _bounded("half_length")
-    half_width: _bounded("half_width")
+    half_length: Annotated[int, _whole("half_length")] | Annotated[float, _real("half_length")]
+    half_width: Annotated[int, _whole("half_width")] | Annotated[float, _real("half_width")]
     bottom: _Height | None = None
     top: _Height | None = None
 
@@ -127,7 +138,7 @@ class _Description(msgspec.Struct, forbid_unknown_fields=True):
 
     model: _Name
     base: _Name
-    spawn_height: _bounded("spawn_height")
+    spawn_height: Annotated[int, _whole("spawn_height")] | Annotated[float, _real("spawn_height")]
     drive: _Drive
     footprint: _Footprint
     mounts: Annotated[dict[_Name, _Mount], Meta(max_length=100)] = {}
@@ -156,12 +167,12 @@ class RobotConfig:
                 raise ValueError(f"Robot {shown_path(self.name)}: {name} must be {_domain(name)}, not {shown(value)}.")
         if self.radius > MAX_RADIUS:
             raise ValueError(
-                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m around the "
-                f"footprint; it must be at most {MAX_RADIUS} m."
+                f"Robot {shown_path(self.name)}: half_length and half_width make a circle of {self.radius:.2f} m "
+                f"around the footprint; it must be at most {MAX_RADIUS} m."
             )
 
     @property
-    def radius(self):
+    def radius(self) -> float:
         """Of the circle around the footprint [m]."""
         return float(np.hypot(self.half_length, self.half_width))
 
@@ -182,12 +193,12 @@ class Robot:
     forwards: tuple[float, ...] = ()  # of each wheel: 1, or -1 where a positive turn of its hinge drives back
 
     @property
-    def wheels(self):
+    def wheels(self) -> tuple[str, ...]:
         """The hinges of the wheels, in the order of `wheel_speeds`: the left ones first."""
         return self.left + self.right
 
 
-def add_robot(spec: mujoco.MjSpec, robot, name="robot", hidden=False) -> None:
+def add_robot(spec: mujoco.MjSpec, robot: "Robot", name: str = "robot", hidden: bool = False) -> None:
     """Attach the Robot to the world of `spec`, under a free joint `name`; its elements are called `name/...`.
 
     Joints and actuators of bodies that `spec` already has come before the robot's. hidden: as `hide_robot` leaves it.
@@ -228,7 +239,7 @@ def _prepared(robot, hidden):
     return model
 
 
-def hide_robot(spec, name="robot"):
+def hide_robot(spec: mujoco.MjSpec, name: str = "robot") -> None:
     """Takes from `spec` what of the robot can only be seen, and hides the rest of it from rays and cameras: no sensor
     sees the robot that carries it. Motion stays what it was, bit for bit."""
     _hide(spec, spec.joint(name).parent)
@@ -369,7 +380,7 @@ def _add_mounts(model, robot, base):
         site.parent.add_camera(name="front", pos=site.pos, quat=turned, fovy=_FRONT_FIELD)
 
 
-def robot_names():
+def robot_names() -> list[str]:
     """Names of the descriptions in assets/robots, sorted."""
     return assets.names("robots", ".toml")
 
@@ -402,7 +413,9 @@ def _read_robot(name):
 
 
 ROBOTS: Kind["Robot"] = Kind("robot", shipped=robot_names, read=_read_robot, files=(".toml",))
-_EXPAND = " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+_EXPAND = (
+    " Expand it first: `xacro FILE.urdf.xacro > FILE.urdf`, and let a .toml description name FILE.urdf as its model."
+)
 _CURES = {
     ".xacro": _EXPAND,
     **dict.fromkeys((".urdf", ".xml"), " A model needs a .toml description beside it (docs: bson.robot)."),
@@ -427,9 +440,9 @@ def _model(path, fields):
     return model
 
 
-def robot_config(value):
-    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed of
-    the description `name` (of the Jackal's without). Raises ValueError."""
+def robot_config(value: Any) -> RobotConfig:
+    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed
+    of the description `name` (of the Jackal's without). Raises ValueError."""
     names = [field.name for field in dataclasses.fields(RobotConfig)]
     if isinstance(value, RobotConfig):
         load_robot(value.name)
@@ -444,7 +457,7 @@ def robot_config(value):
     )
 
 
-def describe(config):
+def describe(config: RobotConfig) -> Robot:
     """The Robot whose description `config` names, with the numbers of `config`."""
     return dataclasses.replace(load_robot(config.name), config=config)
 
@@ -459,7 +472,8 @@ def _fields(path, _changed):
     for table, first, second in ((drive, "gain", "max_torque"), (footprint, "bottom", "top")):
         if (getattr(table, first) is None) != (getattr(table, second) is None):
             raise UsageError(f"{where}: give both of {first} and {second}, or neither.")
-    if footprint.top is not None and not footprint.bottom < footprint.top:
+    bottom, top = footprint.bottom, footprint.top
+    if bottom is not None and top is not None and not bottom < top:
         raise UsageError(
             f"{where}: footprint.bottom and .top must be heights above 0 in rising order, not {footprint.bottom:g} and "
             f"{footprint.top:g}."
@@ -488,11 +502,9 @@ def _load(name, path, changed, _model_changed):
         base=fields.base,
         left=tuple(drive.left),
         right=tuple(drive.right),
-        motor=None if drive.gain is None else (drive.gain, drive.max_torque),
-        height=None if footprint.top is None else (footprint.bottom, footprint.top),
-        mounts=tuple(
-            (mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()
-        ),
+        motor=None if drive.gain is None or drive.max_torque is None else (drive.gain, drive.max_torque),
+        height=None if footprint.bottom is None or footprint.top is None else (footprint.bottom, footprint.top),
+        mounts=tuple((mount, tuple(place.position), _quaternion(place.rpy)) for mount, place in fields.mounts.items()),
         digest=hashlib.sha256(path.read_bytes() + content).hexdigest()[:12],
     )
     try:
@@ -504,8 +516,8 @@ def _load(name, path, changed, _model_changed):
 
 
 def _refuse_odd_models(content, folder, depth=0):
-    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no reader
-    or no room for."""
+    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no
+    reader or no room for."""
     if depth > _MOST_INCLUDES:
         raise ValueError(f"its <include>s are nested more than {_MOST_INCLUDES} deep.")
     if b"<xacro:" in content:
@@ -526,8 +538,8 @@ def _refuse_odd_models(content, folder, depth=0):
                 check_readable(file, f"<{element.tag}>", _MOST_ASSET)
         if mesh.lower().endswith(".dae"):
             raise ValueError(
-                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), and "
-                "name that in the model."
+                f"MuJoCo can't read the mesh {shown_path(mesh)}: convert it to .obj or .stl (Blender and MeshLab do), "
+                "and name that in the model."
             )
         for key in ("width", "height", "nrow", "ncol", "count"):
             for word in (element.get(key) or "").split()[:3]:
@@ -547,8 +559,8 @@ def _quaternion(rpy):
 
 
 def _forwards(robot):
-    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that can't
-    be built, or whose wheels are not left and right on axles across it."""
+    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that
+    can't be built, or whose wheels are not left and right on axles across it."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()
@@ -610,7 +622,7 @@ def __getattr__(name):
 
 
 @functools.lru_cache(64)
-def site_pose(robot, site):
+def site_pose(robot: Robot, site: str) -> Any:
     """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
@@ -629,7 +641,7 @@ def _namespace(array):
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
-def wheel_speeds(command, robot=None):
+def wheel_speeds(command: Array, robot: Robot | None = None) -> Array:
     """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
     (..., 2): (v [m/s], w [rad/s]), clipped."""
     robot = robot or load_robot("jackal")
@@ -642,19 +654,19 @@ def wheel_speeds(command, robot=None):
     return xp.stack(sides, axis=-1) / config.rolling_radius * np.array(robot.forwards)
 
 
-def wheel_actuators(model, robot=None, name="robot"):
+def wheel_actuators(model: mujoco.MjModel, robot: Robot | None = None, name: str = "robot") -> np.ndarray:
     """Which entries (W,) of the MjModel's ctrl are the Robot's (the Jackal's) wheels, ordered as its `wheels`."""
     robot = robot or load_robot("jackal")
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
 
 
-def wheel_dofs(model, robot, name="robot"):
+def wheel_dofs(model: mujoco.MjModel, robot: Robot, name: str = "robot") -> np.ndarray:
     """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
     return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 
 
-def planar_pose(qpos):
+def planar_pose(qpos: Array) -> Array:
     """Pose (..., 3), world frame [m, m, rad], of a free joint's `qpos` (..., 7)."""
     xp = _namespace(qpos)
     qpos = xp.asarray(qpos)
@@ -663,7 +675,7 @@ def planar_pose(qpos):
     return xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1)
 
 
-def planar_velocity(qpos, qvel):
+def planar_velocity(qpos: Array, qvel: Array) -> Array:
     """Speed ahead [m/s] and yaw rate [rad/s] (..., 2) of a free joint's `qpos` (..., 7) and `qvel` (..., 6).
 
     MuJoCo gives a free joint's linear velocity in the world frame and its angular velocity in the body frame.
@@ -675,7 +687,7 @@ def planar_velocity(qpos, qvel):
     return xp.stack([ahead, qvel[..., 5]], axis=-1)
 
 
-def spawn_qpos(x, y, yaw, config=None):
+def spawn_qpos(x: Any, y: Any, yaw: Any, config: RobotConfig | None = None) -> np.ndarray:
     """`qpos` (..., 7) of a robot (the Jackal) that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
     config = config or load_robot("jackal").config
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
@@ -683,7 +695,7 @@ def spawn_qpos(x, y, yaw, config=None):
     return np.concatenate([place, geometry.yaw_quaternion(np.asarray(yaw, dtype=float))], axis=-1)
 
 
-def footprint(pose, config=None):
+def footprint(pose: Array, config: RobotConfig | None = None) -> Array:
     """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
     config = config or load_robot("jackal").config
     xp = _namespace(pose)

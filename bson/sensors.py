@@ -15,9 +15,12 @@ It is white: drawn anew for each reading, independent between beams, pixels and 
 """
 
 import dataclasses
+import itertools
 import math
 import numbers
 import zlib
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -49,7 +52,7 @@ def _numbers(count, each, rising=False):
             isinstance(value, (tuple, list, np.ndarray))
             and len(value) == count
             and all(each(one) for one in value)
-            and not (rising and any(low >= high for low, high in zip(value[:-1], value[1:], strict=True)))
+            and not (rising and any(low >= high for low, high in itertools.pairwise(value)))
         )
 
     return check
@@ -73,7 +76,9 @@ class Sensor:
         rates = _number(_LEAST_RATE)
         domain = f"None or a frequency above 0 Hz, at least {_LEAST_RATE:g} Hz"
         self._check("rate", lambda value: value is None or rates(value), domain)
-        self._check("noise", _number(0, _MOST_NOISE), f"a number of at least 0 (1: as published), at most {_MOST_NOISE:g}")
+        self._check(
+            "noise", _number(0, _MOST_NOISE), f"a number of at least 0 (1: as published), at most {_MOST_NOISE:g}"
+        )
 
     def _check(self, name, good, domain):
         value = getattr(self, name)
@@ -83,20 +88,21 @@ class Sensor:
             object.__setattr__(self, name, tuple(float(one) for one in value))
 
     @property
-    def space(self):
+    def space(self) -> gymnasium.spaces.Box:
         """The space of one world's reading."""
         raise NotImplementedError
 
-    def mount(self, spec, robot="robot"):
+    def mount(self, spec: mujoco.MjSpec, robot: str = "robot") -> None:
         """Adds to the scene `spec` what the sensor needs there."""
         raise NotImplementedError
 
-    def export(self, spec, robot="robot"):
-        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for programs
-        without this project. Returns what they must know, as JSON has it; nothing where they can't have its reading."""
+    def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
+        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for
+        programs without this project. Returns what they must know, as JSON has it; nothing where they can't have its
+        reading."""
         return {}
 
-    def bind(self, world, robot="robot"):
+    def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
         """The reading function of a World, called once, when that is made: read(world, ids) -> (n, *space.shape).
 
         Readings are exact, of the last `forward` of the world's engine (bson.simulation.engines.base); noise comes
@@ -104,11 +110,11 @@ class Sensor:
         """
         raise NotImplementedError
 
-    def noisy(self, reading, rng):
+    def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """`reading`, one world's, with noise drawn from the numpy Generator `rng`."""
         raise NotImplementedError
 
-    def every(self, control_period):
+    def every(self, control_period: float) -> int:
         """Control steps from one reading to the next. Raises ValueError where `rate` doesn't fit the period [s]."""
         if self.rate is None:
             return 1
@@ -121,7 +127,7 @@ class Sensor:
             )
         return steps
 
-    def generator(self, seed):
+    def generator(self, seed: int) -> np.random.Generator:
         """The numpy Generator of this sensor's noise in the episode `seed`: no other sensor draws from it."""
         return np.random.default_rng((zlib.crc32(self.key.encode()), seed))
 
@@ -151,7 +157,7 @@ class Mounted(Sensor):
             self._check(name, _number(-math.pi, math.pi), "an angle in [-pi, pi] rad")
 
     @property
-    def turn(self):
+    def turn(self) -> np.ndarray:
         """The rotation (3, 3) of the sensor's frame in that of its place: `yaw` and `pitch`."""
         sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
         return np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
@@ -196,22 +202,22 @@ class Ranging(Mounted):
         self._check("sigma", _number(least=0), f"a number of at least 0 {self._sigma_unit}")
 
     @property
-    def directions(self):
+    def directions(self) -> np.ndarray:
         """Vectors (..., 3) that reach as far as a distance of 1 m, in the sensor's frame."""
         raise NotImplementedError
 
     @property
-    def space(self):
+    def space(self) -> gymnasium.spaces.Box:
         """The space of one world's reading."""
         return gymnasium.spaces.Box(self.range_min, self.range_max, self.directions.shape[:-1], np.float32)
 
-    def points(self, reading):
+    def points(self, reading: np.ndarray) -> np.ndarray:
         """Where something was met within range in one `reading`: (N, 3) [m], sensor's frame."""
         reading = np.asarray(reading)
         met = reading < self.range_max
         return reading[met][:, None] * self.directions[met]
 
-    def noisy(self, reading, rng):
+    def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """`reading` with noise wherever something was met."""
         error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma)
         return np.where(reading < self.range_max, self._within(reading + error * self._growth(reading)), reading)
@@ -227,14 +233,15 @@ class Ranging(Mounted):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lidar(Ranging):
-    """A scanner: the reading is the distances along its beams, unit vectors. It does not see the body that carries it."""
+    """A scanner: the reading is the distances along its beams, unit vectors. It does not see the body that carries
+    it."""
 
-    def mount(self, spec, robot="robot"):
+    def mount(self, spec: mujoco.MjSpec, robot: str = "robot") -> None:
         """Adds the site from which the beams go out."""
         body, place, frame = self._place(spec, robot)
         body.add_site(name=f"{robot}/{self.key}_beams", pos=place, quat=_quaternion(frame), group=4, size=[0.002] * 3)
 
-    def export(self, spec, robot="robot"):
+    def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
         """A site and a rangefinder for each beam, in the reading's order; they don't see the body that carries them."""
         mounted = spec.site(f"{robot}/{self.key}_beams")
         frame, quaternion = np.empty(9), np.empty(4)
@@ -257,7 +264,7 @@ class Lidar(Ranging):
         bounds = {"range_min": self.range_min, "range_max": self.range_max, "no_hit": -1.0}
         return {"read_as": "beams", "first": first, "sensors": directions[..., 0].size, **bounds}
 
-    def bind(self, world, robot="robot"):
+    def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
         """The reading function: the engine's rays, which ignore the body that carries the sensor."""
         site, shape = world.model.site(f"{robot}/{self.key}_beams").id, self.directions.shape[:-1]
         rays = world.engine.add_rays(site, self.directions.reshape(-1, 3))
@@ -285,12 +292,12 @@ class Lidar2D(Lidar):
         self._check("field", _number(above=0, most=2 * math.pi), "an angle in (0, 2 pi] rad")
 
     @property
-    def angles(self):
+    def angles(self) -> np.ndarray:
         """Directions of the beams (beams,) [rad], counter-clockwise from ahead."""
         return np.linspace(-self.field / 2, self.field / 2, self.beams)
 
     @property
-    def directions(self):
+    def directions(self) -> np.ndarray:
         """Unit vectors (beams, 3) of the beams, in the sensor's frame."""
         return np.stack([np.cos(self.angles), np.sin(self.angles), np.zeros(self.beams)], axis=-1)
 
@@ -321,17 +328,17 @@ class Lidar3D(Lidar):
         self._check("elevation", _numbers(2, steep, rising=True), "two rising angles in [-pi/2, pi/2] rad")
 
     @property
-    def elevations(self):
+    def elevations(self) -> np.ndarray:
         """Of the rows (rows,) [rad], upwards from level."""
         return np.linspace(*self.elevation, self.rows)
 
     @property
-    def azimuths(self):
+    def azimuths(self) -> np.ndarray:
         """Of the columns (columns,) [rad], counter-clockwise from ahead."""
         return 2 * np.pi * (np.arange(self.columns) - self.columns // 2) / self.columns
 
     @property
-    def directions(self):
+    def directions(self) -> np.ndarray:
         """Unit vectors (rows, columns, 3) of the beams, in the sensor's frame."""
         up, round_ = self.elevations[:, None], self.azimuths[None]
         level = np.cos(up)
@@ -361,23 +368,24 @@ class Camera(Mounted):
         self._check("field", _numbers(2, angle), "two angles (horizontal, vertical) in (0, 170] degrees, in rad")
 
     @property
-    def focal(self):
+    def focal(self) -> tuple[float, float]:
         """Focal lengths (horizontal, vertical) [pixels]; the optical axis meets the picture's middle."""
-        return tuple(side / (2 * math.tan(angle / 2)) for side, angle in zip(self.size, self.field, strict=True))
+        across, up = (side / (2 * math.tan(angle / 2)) for side, angle in zip(self.size, self.field, strict=True))
+        return across, up
 
     @property
-    def size(self):
+    def size(self) -> tuple[int, int]:
         """Width and height [pixels]."""
         return self.width, self.height
 
     @property
-    def directions(self):
+    def directions(self) -> np.ndarray:
         """Rays (height, width, 3) through the pixels' middles, in the sensor's frame, 1 long along the optical axis."""
         across, down = (np.arange(side) + 0.5 - side / 2 for side in self.size)
         left, up = np.meshgrid(-across / self.focal[0], -down / self.focal[1])
         return np.stack([np.ones_like(left), left, up], axis=-1)
 
-    def mount(self, spec, robot="robot"):
+    def mount(self, spec: mujoco.MjSpec, robot: str = "robot") -> None:
         """Adds the camera, named `robot`/`key`."""
         body, place, frame = self._place(spec, robot)
         body.add_camera(
@@ -389,8 +397,9 @@ class Camera(Mounted):
             focal_length=[1.0, 1.0],
         )
 
-    def export(self, spec, robot="robot"):
-        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without shadows."""
+    def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
+        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without
+        shadows."""
         return {"read_as": "picture", "camera": f"{robot}/{self.key}", "width": self.width, "height": self.height}
 
     def _bind(self, world, robot):
@@ -417,16 +426,16 @@ class RgbCamera(Camera):
         self._check("sigma", _number(0, 1), "a share of white in [0, 1]")
 
     @property
-    def space(self):
+    def space(self) -> gymnasium.spaces.Box:
         """The space of one world's reading."""
         return gymnasium.spaces.Box(0, 255, (self.height, self.width, 3), np.uint8)
 
-    def bind(self, world, robot="robot"):
+    def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
         """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
         look = self._bind(world, robot)
         return lambda world, ids: look(world, ids)[0]
 
-    def noisy(self, reading, rng):
+    def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """`reading` with noise on the brightness of each pixel."""
         error = rng.standard_normal((*reading.shape[:2], 1), np.float32) * np.float32(255 * self.noise * self.sigma)
         return np.clip(np.rint(reading + error), 0, 255).astype(np.uint8)
@@ -450,12 +459,12 @@ class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
     sigma: float = 0.08 / (424 * 0.05)
     _sigma_unit = "1/m"
 
-    def export(self, spec, robot="robot"):
+    def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
         """As Camera.export, with the range that a depth is clipped to [m]."""
         bounds = {"range_min": self.range_min, "range_max": self.range_max}
         return {**super().export(spec, robot), "read_as": "depth", **bounds}
 
-    def bind(self, world, robot="robot"):
+    def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
         """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
         look = self._bind(world, robot)
         return lambda world, ids: self._within(look(world, ids)[1])
@@ -488,19 +497,19 @@ class Imu(Sensor):
             self._check(name, _number(least=0), f"a number of at least 0 {unit}")
 
     @property
-    def limit(self):
+    def limit(self) -> np.ndarray:
         """Bounds (6,) of the reading."""
         return np.repeat(np.array([self.max_force, self.max_rate], np.float32), 3)
 
     @property
-    def space(self):
+    def space(self) -> gymnasium.spaces.Box:
         """The space of one world's reading."""
         return gymnasium.spaces.Box(-self.limit, self.limit, dtype=np.float32)
 
-    def mount(self, spec, robot="robot"):
+    def mount(self, spec: mujoco.MjSpec, robot: str = "robot") -> None:
         """Nothing to add: the robot's model carries both sensors."""
 
-    def export(self, spec, robot="robot"):
+    def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
         """The robot's model has both sensors; here they saturate, too."""
         kinds = {"accelerometer": (self.max_force, self.sigma_force), "gyro": (self.max_rate, self.sigma_rate)}
         for kind, (most, sigma) in kinds.items():
@@ -508,14 +517,14 @@ class Imu(Sensor):
             sensor.cutoff, sensor.noise = most, self.noise * sigma
         return {"read_as": "imu", **{kind: f"{robot}/imu_{kind}" for kind in kinds}}
 
-    def bind(self, world, robot="robot"):
+    def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
         """The reading function."""
         names = (f"{robot}/imu_accelerometer", f"{robot}/imu_gyro")
         columns = np.concatenate([world.model.sensor(name).adr[0] + np.arange(3) for name in names])
         limit = self.limit
         return lambda world, ids: np.clip(world.engine.sensordata[ids][:, columns], -limit, limit).astype(np.float32)
 
-    def noisy(self, reading, rng):
+    def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """`reading` with noise on each axis."""
         sigma = np.repeat([self.sigma_force, self.sigma_rate], 3) * self.noise
         return np.clip(reading + sigma * rng.standard_normal(6), -self.limit, self.limit).astype(np.float32)

@@ -1,7 +1,7 @@
 """Frozen sets of episodes: assets/suites/NAME.toml.
 
-A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes of
-the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
+A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes
+of the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
 """
 
 import dataclasses
@@ -9,7 +9,8 @@ import hashlib
 import itertools
 import json
 import math
-from typing import Annotated
+import pathlib
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -74,17 +75,17 @@ class Cell:
     config: TaskConfig
 
     @property
-    def name(self):
+    def name(self) -> str:
         """The grades' names, or "all"."""
         return ", ".join(grade for _, grade in self.grades) or "all"
 
     @property
-    def slug(self):
+    def slug(self) -> str:
         """The name, for files."""
         return self.name.replace(", ", "-")
 
     @property
-    def content(self):
+    def content(self) -> list[Any]:
         """All that an episode follows from beside its seed: grades, configuration, and the files that it names."""
         drawn = None
         if self.config.map:
@@ -107,7 +108,7 @@ class Suite:
     seeds: tuple[int, ...]
 
     @property
-    def axes(self):
+    def axes(self) -> dict[str, list[str]]:
         """{axis: its grades, in order}."""
         found = {}
         for cell in self.cells:
@@ -116,15 +117,16 @@ class Suite:
         return {axis: list(grades) for axis, grades in found.items()}
 
     @property
-    def digest(self):
-        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal digits."""
+    def digest(self) -> str:
+        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal
+        digits."""
         content = [self.seeds, *(cell.content for cell in self.cells)]
         text = json.dumps(content, sort_keys=True, default=np.ndarray.tolist)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
-    def drawn(self, episodes=None, seed=0):
-        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set of
-        the kind.
+    def drawn(self, episodes: int | None = None, seed: int = 0) -> list[int]:
+        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set
+        of the kind.
 
         Raises ValueError when the suite has fewer episodes.
         """
@@ -135,7 +137,7 @@ class Suite:
         return [s + _SEED_STRIDE * seed for s in self.seeds[:episodes]]
 
 
-def suite_names():
+def suite_names() -> list[str]:
     """Names of the suites, sorted."""
     return assets.names("suites", ".toml")
 
@@ -145,9 +147,9 @@ def load_suite(name: str) -> Suite:
     return SUITES.load(name)
 
 
-def read_suite(file):
-    """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and `axes` (of
-    each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
+def read_suite(file: str | pathlib.Path) -> Suite:
+    """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and
+    `axes` (of each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
     called = f"suite {shown_path(file)}"
     document = parse(file, "suite", read_bytes(file, "suite"))
     checked = convert(document, _File, called)
@@ -158,7 +160,8 @@ def read_suite(file):
     if (number := math.prod(map(len, checked.axes.values()))) > _MOST_CELLS:
         raise UsageError(f"{called}, key 'axes': their grades make {number} cells; {_MOST_CELLS} are possible.")
     axes = [
-        [(axis, grade, changes) for grade, changes in grades.items()] for axis, grades in document.get("axes", {}).items()
+        [(axis, grade, changes) for grade, changes in grades.items()]
+        for axis, grades in document.get("axes", {}).items()
     ]
     key = "config"
     try:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-import typing
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -20,6 +20,8 @@ PEDESTRIANS = 24  # the paper's, sec. VI-D
 MAX_PEDESTRIANS = 2000
 MAX_HORIZON = 10**9  # [control steps]
 _START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
+_REWARD = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
+_ROBOT: Any = "jackal"  # a name; a TaskConfig makes a RobotConfig of it
 _ROUTE_WIDTH = 2.0  # beside a route people begin [m]
 _GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
 
@@ -44,8 +46,8 @@ class TaskConfig:
     pedestrian_period: float = 0.1  # between the pedestrians' decisions; at most the control period
     horizon: int = 1000  # control steps until truncation
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
-    reward: RewardWeights = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
-    robot: RobotConfig | str = "jackal"  # a name or file (bson.robot), or a dict of numbers changed
+    reward: RewardWeights = _REWARD
+    robot: RobotConfig = _ROBOT  # given as such, or by a name or file (bson.robot), or as a dict of numbers changed
 
     def __post_init__(self):
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
@@ -70,8 +72,9 @@ class TaskConfig:
             )
         for name in ("pedestrian_density", "obstacle_density"):
             value = getattr(self, name)
-            unset = name == "pedestrian_density" and value is None
-            if not unset and not (is_number(value) and 0 <= value <= 1):
+            if value is None and name == "pedestrian_density":
+                continue
+            if value is None or not (is_number(value) and 0 <= value <= 1):
                 raise ValueError(f"{name} must be between 0 and 1, not {shown(value)}.")
         if not (is_number(self.map_size) and 10.0 <= self.map_size <= 500.0):
             if self.map is not None:
@@ -104,12 +107,12 @@ class TaskConfig:
             check_model(name)
 
     @property
-    def model_shares(self):
+    def model_shares(self) -> dict[str, float]:
         """{pedestrian model: share}; the shares sum to 1."""
         return {self.pedestrian_model: 1.0} if isinstance(self.pedestrian_model, str) else dict(self.pedestrian_model)
 
     @property
-    def people(self):
+    def people(self) -> int:
         """The number of pedestrians."""
         if self.pedestrian_density is not None:
             return layouts.person_count(self.pedestrian_density, self.map_size)
@@ -119,26 +122,26 @@ class TaskConfig:
         return PEDESTRIANS if own is None else own
 
     @property
-    def people_goal_distance(self):
+    def people_goal_distance(self) -> tuple[float, float]:
         """Least and most distance from a pedestrian's place to its goal [m]; less than usual on small maps."""
         return min(GOAL_DISTANCE[0], self.map_size / 4), GOAL_DISTANCE[1]
 
     @property
-    def decision_period(self):
+    def decision_period(self) -> float:
         """Time between the pedestrians' decisions [s]: at least one falls in a control step."""
         return min(self.pedestrian_period, self.control_period)
 
     @property
-    def decisions(self):
+    def decisions(self) -> int:
         """Pedestrians' decisions in a control step."""
         return round(self.control_period / self.decision_period)
 
     @property
-    def substeps(self):
+    def substeps(self) -> int:
         """Physics steps in a pedestrians' decision."""
         return round(self.decision_period / PHYSICS_STEP)
 
-    def replace(self, /, **changes):
+    def replace(self, /, **changes: Any) -> Self:
         """This configuration with `changes`; a pedestrian count replaces a density and the other way round.
 
         Raises ValueError for an unknown name, listing the valid ones.
@@ -155,7 +158,7 @@ class TaskConfig:
         return dataclasses.replace(self, **changes)
 
 
-def check_model(name):
+def check_model(name: str) -> None:
     """Raises ValueError unless `name` is a pedestrian model; a shipped one is looked up once."""
     return pedestrians.check_model(name) if name.endswith(".npz") else _check_shipped(name)
 
@@ -163,7 +166,7 @@ def check_model(name):
 _check_shipped = functools.lru_cache(64)(pedestrians.check_model)
 
 
-def controller(name, period):
+def controller(name: str, period: float) -> Any:
     """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
     return pedestrians.make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
 
@@ -228,7 +231,7 @@ def _multiple(name, value, of_name, of):
         raise ValueError(f"{name} must be a multiple of {of_name} ({of:g} s), not {shown(value)}.")
 
 
-class Spawn(typing.NamedTuple):
+class Spawn(NamedTuple):
     """How an episode begins. World frame, metres and radians."""
 
     layout: Layout
@@ -241,12 +244,12 @@ class Spawn(typing.NamedTuple):
     router: Router | None  #: people's, where walls bar their view
 
 
-def spawn(config: TaskConfig, rng) -> Spawn:
+def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
-    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and head
-    for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in which
-    the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
+    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and
+    head for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in
+    which the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
     """
     if config.map is None:
         layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)
@@ -271,9 +274,9 @@ def spawn(config: TaskConfig, rng) -> Spawn:
     )
 
 
-def stops(layout, person, place, goal):
-    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its route,
-    if the map has routes."""
+def stops(layout: Layout, person: int, place: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its
+    route, if the map has routes."""
     if not layout.routes:
         return goal[None]
     return rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
@@ -283,6 +286,7 @@ def _robot_ends(config, layout, rng):
     """The robot's start (1, 2) and goal (2,) [m]."""
     router = Router(layout, config.robot.radius) if config.map else None  # a maze is connected
     gap, regions = _GOAL_CLEARANCE, layout.regions
+    failure = NoFreeSpace("The robot can't reach its goal.")
     for _ in range(50):  # a start in the middle of a small map has no goal far enough
         start = layouts.sample_people(
             rng, layout, 1, gap=gap, region=regions.get("robot_start"), who="The robot", region_name="robot_start"
@@ -355,8 +359,9 @@ def _people_ends(config, layout, rng, robot, router):
     return people, goals
 
 
-def ways_checker(config, router):
-    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s own.
+def ways_checker(config: TaskConfig, router: Router | None) -> Any:
+    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s
+    own.
 
     None where people can walk anywhere: on an open map, and in a maze, all of which is joined.
     """

@@ -1,21 +1,24 @@
 """What the robot is given: a track is an object with its spaces and its observation."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 from bson import sensors as shipped
+from bson.robot import RobotConfig
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera, Sensor
 from bson.simulation.data import MAP_RESOLUTION
+from bson.task import TaskConfig
 from macid import geometry
 from macid.documents import shown
 from macid.files import UsageError
 from macid.registry import Kind
 
 
-def velocity_limit(robot):
+def velocity_limit(robot: RobotConfig) -> np.ndarray:
     """Bounds (2,) of an observed (v [m/s], w [rad/s]): a push can move the robot faster than its motors do."""
     return np.array([4 * robot.max_speed, 10 * robot.max_yaw_rate], np.float32)
 
@@ -26,7 +29,7 @@ class LocalTrack:
 
     sensors: tuple = (Imu(), Lidar2D())
 
-    def space(self, config):
+    def space(self, config: TaskConfig) -> gymnasium.spaces.Dict:
         """The observation space of one world."""
         reach = config.map_size * np.sqrt(2.0)
         limit = velocity_limit(config.robot)
@@ -38,7 +41,7 @@ class LocalTrack:
             }
         )
 
-    def observe(self, world, ids):
+    def observe(self, world: Any, ids: Any) -> dict[str, np.ndarray]:
         """Observations of the worlds `ids`, each array with a leading axis (len(ids),); copies."""
         pose = world.pose[ids]
         limit = velocity_limit(world.config.robot)
@@ -51,9 +54,10 @@ class LocalTrack:
 
 @dataclasses.dataclass(frozen=True)
 class GlobalTrack(LocalTrack):
-    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people are."""
+    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people
+    are."""
 
-    def space(self, config):
+    def space(self, config: TaskConfig) -> gymnasium.spaces.Dict:
         """The observation space of one world."""
         half, cells = config.map_size / 2, round(config.map_size / MAP_RESOLUTION)
         box = gymnasium.spaces.Box
@@ -69,7 +73,7 @@ class GlobalTrack(LocalTrack):
             }
         )
 
-    def observe(self, world, ids):
+    def observe(self, world: Any, ids: Any) -> dict[str, np.ndarray]:
         """As LocalTrack.observe."""
         half = world.config.map_size / 2
         return {
@@ -107,9 +111,13 @@ def _own_track(found, name):
 
 def _own_sensors(found, name):
     """Somebody's own sensors: one, a class of one, or a tuple of these."""
-    chosen = [each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])]
+    chosen = [
+        each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])
+    ]
     if not chosen or not all(isinstance(each, Sensor) for each in chosen):
-        raise UsageError(f"Sensor '{name}' must be a bson.sensors.Sensor, its class, or a tuple of these, not {shown(found)}.")
+        raise UsageError(
+            f"Sensor '{name}' must be a bson.sensors.Sensor, its class, or a tuple of these, not {shown(found)}."
+        )
     return tuple(chosen)
 
 
@@ -127,24 +135,24 @@ _CLASS_KIND: Kind[type[Sensor]] = Kind("sensor", _SHIPPED, own="class", check=_o
 
 def make_track(track: str, sensor: Any) -> LocalTrack:
     """The track `track` ("local", "global", or one's own class) with `sensor`: a name of SENSORS, sensors of one's own,
-    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes of
-    them. Raises UsageError, naming the valid ones."""
+    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes
+    of them. Raises UsageError, naming the valid ones."""
     return TRACK_KIND.load(track)(_sensors(sensor))
 
 
-def sensor_label(sensor):
+def sensor_label(sensor: Any) -> str:
     """What `make_track` was given as `sensor`, for people to read: its name, or the kinds of one's own."""
     return sensor if isinstance(sensor, str) else " + ".join(type(one).__name__ for one in _sensors(sensor))
 
 
-def sensor_settings(sensors):
+def sensor_settings(sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
     """Sensors' configurations as JSON has them: [{"kind": ..., field: value, ...}, ...]."""
     return [{"kind": type(one).__name__, **dataclasses.asdict(one)} for one in sensors]
 
 
-def sensor_documents(chosen):
-    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...], where a
-    kind that is not of bson.sensors is "module:class"."""
+def sensor_documents(chosen: Any) -> Any:
+    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...],
+    where a kind that is not of bson.sensors is "module:class"."""
     return chosen if isinstance(chosen, str) else [_document(one) for one in _sensors(chosen)]
 
 
@@ -152,7 +160,11 @@ def _document(sensor):
     kind = type(sensor)
     name = kind.__name__ if getattr(shipped, kind.__name__, None) is kind else f"{kind.__module__}:{kind.__qualname__}"
     fields = {
-        field.name: list(value) if isinstance(value, tuple) else value.item() if isinstance(value, np.generic) else value
+        field.name: list(value)
+        if isinstance(value, tuple)
+        else value.item()
+        if isinstance(value, np.generic)
+        else value
         for field in dataclasses.fields(sensor)
         for value in [getattr(sensor, field.name)]
     }
@@ -161,12 +173,13 @@ def _document(sensor):
 
 def _of_document(document):
     """The sensor of a dict of `sensor_documents`. Raises ValueError, naming what is wrong."""
-    fields = dict(document)
+    fields: dict[str, Any] = dict(document)
     kind = _CLASS_KIND.load(fields.pop("kind", None))
     known = [field.name for field in dataclasses.fields(kind)]
     if unknown := sorted(map(str, set(fields) - set(known))):
         raise ValueError(f"{kind.__name__} has no field {unknown[0]!r}. Choose among {', '.join(known)}.")
-    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
+    return kind(**values)
 
 
 def _sensors(chosen):

@@ -181,6 +181,32 @@ def speed_and_period():
     return lines
 
 
+def gpu_crowds():
+    """Lines of the table of crowds on a GPU."""
+    cells = {}
+    for row in shipped("gpu")["rows"]:
+        if row["of"] == "crowd":
+            for what in ("rolling out", "training"):
+                if row[what]:
+                    cells[row["people"], what, row["worlds"]] = f"{row[what]:,}"
+    worlds = sorted({key[2] for key in cells})
+    lines = [tables.text_row("people", [f"{number:,} worlds" for number in worlds]), "|---" * (1 + len(worlds)) + "|"]
+    for people, what in sorted({key[:2] for key in cells}):
+        lines.append(tables.text_row(f"{people}, {what}", [cells.get((people, what, number), "") for number in worlds]))
+    return lines
+
+
+def gpu_robots():
+    """Lines of the table of the robot's worlds on a GPU."""
+    named = {"none": "none", "lidar2d": "2D LIDAR, 720", "camera": "RGB and depth, 160 x 120", "ppo": "PPO learning, 2D LIDAR"}
+    lines = [tables.text_row("sensor", ["worlds", "control steps/s"]), "|---|---|---|"]
+    for sensor, name in named.items():
+        for row in shipped("gpu")["rows"]:
+            if row["of"] == "robot" and row["sensor"] == sensor:
+                lines.append(tables.text_row(name, [f"{row['worlds']:,}", f"{row['steps']:,}"]))
+    return lines
+
+
 def _made(recipe):
     """How a training was made, in one line, with its command."""
     method, period = recipe["method"], recipe["period"]
@@ -254,6 +280,8 @@ def results():
         "table1": [line for method in TURNED for line in ["", *table1(method)]][1:],
         "knob": [line for figure in tables.KNOB for line in ["", *knob(figure)]][1:],
         "speed-and-period": speed_and_period(),
+        "gpu-crowds": gpu_crowds(),
+        "gpu-robots": gpu_robots(),
     }
 
 

@@ -10,7 +10,7 @@ tensor, which is detached from its gradient and brought to the CPU.
 """
 
 import inspect
-from typing import Any
+from typing import Any, cast
 
 from bson.agents import learned
 from bson.agents.contract import (
@@ -64,7 +64,7 @@ BUILT_IN = {
 }
 
 
-def agent_names():
+def agent_names() -> list[str]:
     """Names of the agents that come with the benchmark: scripted, planning and trained ones."""
     return [*BUILT_IN, *learned.names()]
 
@@ -122,14 +122,14 @@ class _Factory:
         if not isinstance(self.track, str):
             raise AgentError(f"Agent '{name}': its track must be 'local' or 'global', not {shown(self.track)}.")
 
-    def __call__(self, setting=None):
+    def __call__(self, setting: Setting | None = None) -> Agent:
         if not inspect.isclass(self._found):
             return self._found
         if self._made:
             return self._made.pop()
         with its_code(self._name, f"making a {self._found.__name__}"):
             if not self.takes_setting:
-                return self._found()
+                return cast(Agent, self._found())
             return made_for(self._found, setting or Setting.default(self.track, self.sensor))
 
 

@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import inspect
 import pathlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -165,7 +165,7 @@ def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: Loca
 
 
 @contextlib.contextmanager
-def its_code(name, doing):
+def its_code(name: str, doing: str) -> Iterator[None]:
     """Runs code of the agent `name`. Raises AgentFailed, of one line: what the code raised, and in which line of which
     file; Unsuited stays Unsuited."""
     try:
@@ -205,7 +205,8 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
         array = _as_numbers(action)
     except (Exception, SystemExit) as error:  # whatever an array of somebody's own raises
         raise AgentError(
-            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; {_ACTION}."
+            f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; "
+            f"{_ACTION}."
         ) from error
     if array.shape != (2,):
         raise AgentError(f"Agent '{name}' returned {_kind(action)} of shape {array.shape}; {_ACTION}.")

@@ -19,6 +19,7 @@ hold the robot. Both are limits of the method.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,7 @@ class DwaConfig:
 class Dwa:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, setting: Setting | None = None, config=DwaConfig()):
+    def __init__(self, setting: Setting | None = None, config: DwaConfig = DwaConfig()):
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
         robot, self.config, self._limit = setting.robot, config, setting.top
@@ -85,12 +86,13 @@ class Dwa:
         self._escape_rate = min(config.escape_rate, robot.max_yaw_rate)
         self.reset()
 
-    def reset(self, seed=None):
+    def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._steps, self._met = 0, np.zeros((0, 2))  # since the episode began; points (m, 2) [m] that were met
         self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         if self._steps % self._scan.every == 0:
             self._met = self._points(self._scan.read(observation))
@@ -109,7 +111,7 @@ class Dwa:
         self._side = 0.0
         return np.array([speed[best], rate[best]]) / self._limit
 
-    def window(self, velocity, bearing=0.0):
+    def window(self, velocity: np.ndarray, bearing: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Velocities v (n,) [m/s] and w (n,) [rad/s] within a control period's reach of `velocity` (2,).
 
         A grid, and the yaw rate that turns the robot towards the goal, `bearing` [rad], in heading_time.

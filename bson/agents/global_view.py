@@ -1,5 +1,7 @@
 """What an agent of the Global track makes of its observations: the map as a grid, and people's velocities."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from bson.agents.contract import Setting, Unsuited
@@ -19,19 +21,26 @@ class GlobalView:
         self._period = setting.control_period
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forgets the last episode."""
-        self.map = None  # Grid
+        self._map: Grid | None = None
         self.pose, self.goal = np.zeros(3), np.zeros(2)  # (x, y, yaw), (x, y)
-        self.people = self.people_velocity = None  # (K, 2)
+        self.people, self.people_velocity = np.zeros((0, 2)), np.zeros((0, 2))
 
-    def see(self, observation):
+    @property
+    def map(self) -> Grid:
+        """The map, from the episode's first observation on."""
+        assert self._map is not None, "nothing was seen yet"
+        return self._map
+
+    def see(self, observation: Mapping[str, np.ndarray]) -> None:
         """Takes in a Global observation (see bson.env.BsonEnv). People stand until they were seen twice."""
-        if self.map is None:
+        first = self._map is None
+        if first:
             resolution = float(observation["map_resolution"][0])
-            self.map = Grid(observation["map"] > 0, resolution, observation["map_origin"])
+            self._map = Grid(observation["map"] > 0, resolution, observation["map_origin"])
         self.pose = np.asarray(observation["pose"], float)
         self.goal = self.pose[:2] + geometry.rotate(np.asarray(observation["goal"], float), self.pose[2])
         people = np.asarray(observation["people"], float)
-        before = people if self.people is None else self.people
+        before = people if first else self.people
         self.people, self.people_velocity = people, (people - before) / self._period

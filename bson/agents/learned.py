@@ -7,6 +7,7 @@ One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAM
 import dataclasses
 import functools
 import pathlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -37,23 +38,23 @@ class Learned:
 
     track, sensor = "local", "lidar2d"
 
-    def __init__(self, layers, output, top=TOP):
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, top: Sequence[float] = TOP):
         self.layers, self.output, self.top = layers, output, top
         self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
 
-    def reset(self, seed):
+    def reset(self, seed: int | None) -> None:
         """Begins an episode."""
         self._begun = False
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
         batched = {name: np.asarray(observation[name])[None] for name in ("goal", "velocity", "lidar")}
         look = self._features.step if self._begun else self._features.begin
         self._begun = True
         return self.act(look([0], batched))[0]
 
-    def act(self, x):
+    def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for features (N, FEATURES)."""
         with np.errstate(over="ignore", invalid="ignore"):  # whoever acts by it refuses what is not finite
             for weight, bias in self.layers[:-1]:
@@ -62,7 +63,7 @@ class Learned:
             return self._output(x @ weight + bias)
 
 
-def names():
+def names() -> list[str]:
     """Names of the shipped agents."""
     return assets.names("agents", ".npz")
 
@@ -103,7 +104,8 @@ def _trained(recipe, path):
     if "setting" in recipe:
         trained = convert(recipe["setting"], _Trained, f"{called}, key 'setting'")
         for key in _TOP:
-            if not (isinstance(trained.robot.get(key), float) and trained.robot[key] > 0):
+            value = trained.robot.get(key)
+            if not (isinstance(value, float) and value > 0):
                 raise UsageError(f"{called}, key 'setting': its robot has no {key} above 0.")
         return trained
     task = recipe.get("task") or {}
@@ -147,12 +149,21 @@ class Factory:
 
     track, sensor, takes_setting = Learned.track, Learned.sensor, True
 
-    def __init__(self, name, path, layers, recipe, untrained):
+    def __init__(
+        self,
+        name: str,
+        path: pathlib.Path,
+        layers: Sequence[tuple[np.ndarray, np.ndarray]],
+        recipe: dict[str, Any],
+        untrained: bool,
+    ):
         self._name, self._untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
         self._trained = functools.cache(lambda: _trained(recipe, path))
-        self._top = tuple(self._trained().robot[key] for key in _TOP) if "setting" in recipe else TOP
+        robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
+        self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
 
-    def __call__(self, setting=None):
+    def __call__(self, setting: Setting | None = None) -> Learned:
+        """An agent for one world of `setting`. Raises Unsuited."""
         if setting is not None:
             self._check(setting)
         return Learned(self._layers, self._output, self._top)
@@ -173,7 +184,7 @@ class Factory:
             )
 
 
-def load(name, untrained=False):
+def load(name: str, untrained: bool = False) -> Factory:
     """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none.
 
     The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with,

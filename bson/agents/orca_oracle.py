@@ -15,6 +15,7 @@ from them in three things.
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax
@@ -24,6 +25,7 @@ import numpy as np
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
 from bson.planners import NoPath, plan, shortcut
+from bson.planners.grid import Grid
 from macid import geometry
 from macid.pedestrians.orca import ORCA, best_velocity
 from macid.pedestrians.social_force import left_of
@@ -53,7 +55,7 @@ class OrcaOracle:
 
     track, sensor = "global", "lidar2d"
 
-    def __init__(self, setting: Setting | None = None, config=OrcaOracleConfig()):
+    def __init__(self, setting: Setting | None = None, config: OrcaOracleConfig = OrcaOracleConfig()):
         setting = Setting.default("global") if setting is None else setting
         setting.check_period(config.longest_period)
         self._robot = robot = setting.robot
@@ -67,13 +69,14 @@ class OrcaOracle:
         self._view = GlobalView(setting)
         self.reset()
 
-    def reset(self, seed=None):
+    def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._view.reset()
         self._grid = self._boxes = self._path = None
         self._planned = 0  # decisions ago
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) for one world's Global observation (see bson.env.BsonEnv)."""
         view, robot = self._view, self._robot
         view.see(observation)
         if self._grid is None:
@@ -88,26 +91,34 @@ class OrcaOracle:
         walls = _nearest(self._boxes, geometry.point_box_distance(point, self._boxes), self.config.walls)
         position, velocity = np.vstack([point, people[:, :2]]), np.vstack([velocity, people[:, 2:]])
         chosen = _choose(
-            self.config, self._period, self.radius, robot, position, velocity, yaw, self._waypoint(point), walls
+            self.config,
+            self._period,
+            self.radius,
+            robot,
+            position,
+            velocity,
+            yaw,
+            self._waypoint(self._grid, point),
+            walls,
         )
         forward, aside = geometry.to_body(np.asarray(chosen, float), yaw)
         return np.clip([forward / robot.max_speed, aside / self.config.ahead / robot.max_yaw_rate], -1.0, 1.0)
 
-    def _waypoint(self, point):
-        """Where (2,) to go from `point` (2,): the farthest corner of the path that is in sight."""
+    def _waypoint(self, grid, point):
+        """Where (2,) on the free `grid` to go from `point` (2,): the farthest corner of the path that is in sight."""
         path = self._path
-        while path is not None and len(path) > 1 and self._grid.lines_are_free(point, path[1]):
+        while path is not None and len(path) > 1 and grid.lines_are_free(point, path[1]):
             path = path[1:]
-        lost = path is None or not self._grid.lines_are_free(point, path[0])
-        if lost and (path is None or self._planned >= self._replan):
-            path, self._planned = self._plan(point), 0
+        lost = path is None or not grid.lines_are_free(point, path[0])
+        if path is None or (lost and self._planned >= self._replan):
+            path, self._planned = self._plan(grid, point), 0
         self._planned += 1
         self._path = path
         return path[0]
 
-    def _plan(self, point):
+    def _plan(self, grid, point):
         """The corners (N, 2) of a shortest path from `point` (2,) to the goal; the goal alone where there is none."""
-        grid, goal = self._grid, self._view.goal
+        goal = self._view.goal
         try:
             path = plan("astar", grid, grid.nearest_free(point), grid.nearest_free(goal))
         except NoPath:
@@ -157,12 +168,11 @@ def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, bo
     return best_velocity(normal[None], offset[None], config.walls + 3, target, robot.max_speed)[0]
 
 
-def occupied_boxes(grid):
+def occupied_boxes(grid: Grid) -> np.ndarray:
     """Rectangles (N, 5), as in `macid.geometry`, that cover the occupied cells of `grid`, and the map's edge.
 
     Cells that lie in a row are one, and equal rows above each other.
     """
-    rows, columns = grid.shape
     padded = np.pad(grid.occupied, 1, constant_values=True)
     done = np.zeros_like(padded)
     boxes = []

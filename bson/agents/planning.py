@@ -61,27 +61,27 @@ class _Planning:
         if self._grid is None:
             self._grid = self._view.map.inflated(self._clearance)
         if self._path is None or self._age >= self._replan:
-            self._plan()
+            self._plan(self._grid)
         self._age += 1
         if self._path is None:
             return np.zeros(2)
         return np.clip(np.array(self._follower(self._view.pose, self._path)) / self._top, -1.0, 1.0)
 
-    def _plan(self):
+    def _plan(self, grid):
         self._age = 0
         view = self._view
-        cost = social_cost(self._grid, view.people, view.people_velocity)
-        start, end = self._grid.nearest_free(view.pose[:2]), self._grid.nearest_free(view.goal)
+        cost = social_cost(grid, view.people, view.people_velocity)
+        start, end = grid.nearest_free(view.pose[:2]), grid.nearest_free(view.goal)
         config = self.config if self._path is None else self.again
         try:
-            path = plan(self.planner, self._grid, start, end, cost, self._rng, config, self._known(cost))
+            path = plan(self.planner, grid, start, end, cost, self._rng, config, self._known(grid, cost))
         except NoPath:
             return  # the last path, if there is one, is better than none
         near = _reaching(path, _NEAR)
-        path = np.concatenate([shortcut(path[:near], self._grid, cost), path[near:]])
+        path = np.concatenate([shortcut(path[:near], grid, cost), path[near:]])
         self._path = np.concatenate([path[:-1], view.goal[None]])
 
-    def _known(self, cost):
+    def _known(self, grid, cost):
         """What is left of the last path (N, 2); None: nothing that is of use."""
         if self._path is None or len(self._path) < 2:
             return None
@@ -98,13 +98,13 @@ class Rrt(_Planning):
 
     planner, again = "rrt", RrtConfig(samples=1000)
 
-    def _known(self, cost):
-        known = super()._known(cost)
+    def _known(self, grid, cost):
+        known = super()._known(grid, cost)
         if known is None:
             return None
         ahead = known[: _reaching(known, _AHEAD)]
         length = np.hypot(*np.diff(ahead, axis=0).T).sum()
-        return known if path_cost(ahead, self._grid, cost) <= _QUIET * length else None
+        return known if path_cost(ahead, grid, cost) <= _QUIET * length else None
 
 
 class RrtStar(_Planning):

@@ -1,6 +1,8 @@
 """The 2D LIDAR as agents read it, wherever on the robot it is and whatever its beams."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -50,18 +52,18 @@ class Scan:
         self.directions = np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
         self._step = lidar.field / (lidar.beams - 1)
 
-    def read(self, observation):
+    def read(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The distances (beams,) [m] of one world's observation, ordered as `angles`; at least FAR for a miss."""
         scan = np.asarray(observation[self.key], float)
         if self._overturned:
             scan = scan[::-1]
         return np.where(scan >= self.reach, FAR, scan) if self.reach < FAR else scan
 
-    def beams_in(self, angle):
+    def beams_in(self, angle: float) -> int:
         """How many beams come nearest to spanning `angle` [rad]; at least 1."""
         return max(1, round(angle / self._step))
 
-    def nearest(self, scan, width):
+    def nearest(self, scan: np.ndarray, width: int) -> np.ndarray:
         """The index (sectors,) of the nearest beam of each sector of `width` beams; the last may have fewer."""
         missing = -len(scan) % width
         if missing:
@@ -69,19 +71,19 @@ class Scan:
         sectors = scan.reshape(-1, width)
         return sectors.argmin(axis=1) + np.arange(len(sectors)) * width
 
-    def points(self, scan, beams):
+    def points(self, scan: np.ndarray, beams: np.ndarray) -> np.ndarray:
         """Where (n, 2) [m] the beams with the indices `beams` (n,) end, robot frame."""
         return scan[beams, None] * self.directions[beams] + self.place
 
-    def off_centre(self, angle):
+    def off_centre(self, angle: Any) -> Any:
         """`angle` [rad], robot frame, as seen from the middle of the field, in [-pi, pi)."""
         return (angle - self._centre + math.pi) % (2 * math.pi) - math.pi if self._centre else angle
 
-    def sees(self, angle):
+    def sees(self, angle: Any) -> Any:
         """Whether `angle` [rad] is in the field."""
         return np.abs(self.off_centre(angle)) <= self._half_field
 
-    def beam_at(self, angle):
+    def beam_at(self, angle: float) -> int:
         """The index of the beam nearest to `angle` [rad]."""
         last = len(self.angles) - 1
         share = (self.off_centre(angle) + self._half_field) / (2 * self._half_field)

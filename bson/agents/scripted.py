@@ -1,5 +1,7 @@
 """Agents of a few lines: the floor of every comparison."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from bson.agents.contract import Setting, Unsuited
@@ -10,7 +12,7 @@ _AHEAD = np.radians(30.0)  # to either side of what StopAndGo minds
 _TURN = 1.5  # share of the top yaw rate for each radian off the goal
 
 
-def stop(observation):
+def stop(observation: Mapping[str, np.ndarray]) -> np.ndarray:
     """Stands still."""
     return np.zeros(2)
 
@@ -18,15 +20,16 @@ def stop(observation):
 class Random:
     """A new random action each control step."""
 
-    def reset(self, seed):
+    def reset(self, seed: int | None) -> None:
         """Begins the episode of `seed`."""
         self._rng = np.random.default_rng(seed)
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,), whatever the observation."""
         return self._rng.uniform(-1.0, 1.0, 2)
 
 
-def goal(observation, speed=0.8, turn=_TURN):
+def goal(observation: Mapping[str, np.ndarray], speed: float = 0.8, turn: float = _TURN) -> np.ndarray:
     """The action straight to the goal, whatever stands in the way; it turns on the spot while the goal is behind.
 
     speed: share of the top speed: 1.6 m/s of the Jackal. turn: share of the top yaw rate for each radian off the goal.
@@ -46,7 +49,7 @@ class Goal:
         in_a_step = setting.control_period * setting.top
         self._turn, self._reach = min(_TURN, 1.0 / in_a_step[1]), in_a_step[0]
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation."""
         return goal(observation, min(self.speed, np.hypot(*observation["goal"]) / self._reach), self._turn)
 
@@ -66,7 +69,7 @@ class StopAndGo(Goal):
         if not self._ahead.any():
             raise Unsuited(f"needs a Lidar2D that looks ahead; '{self._scan.key}' doesn't.")
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation."""
         near = self._scan.read(observation)[self._ahead].min() < self._near
         return stop(observation) if near else super().__call__(observation)

@@ -16,6 +16,7 @@ Only the observation is used: the goal, the velocity and the LIDAR.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,7 @@ class VfhConfig:
 class Vfh:
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
-    def __init__(self, setting: Setting | None = None, config=VfhConfig()):
+    def __init__(self, setting: Setting | None = None, config: VfhConfig = VfhConfig()):
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
         self.config, self._limit, self._period = config, setting.top, setting.control_period
@@ -95,7 +96,7 @@ class Vfh:
         self._prepare_motions()
         self.reset()
 
-    def reset(self, seed=None):
+    def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._yaw, self._goal, self._rate = 0.0, None, 0.0
         self._steps, self._old = 0, 0  # since the episode began, and since the last scan
@@ -106,20 +107,18 @@ class Vfh:
         self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
-    def __call__(self, observation):
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         self._localise(goal, velocity)
         self._old = self._steps % self._scan.every
         self._steps += 1
-        if self._old:
-            walls = (self._met - self._position) @ self._rotation
-        else:
-            walls = self._look(self._scan.read(observation))
+        walls = (self._met - self._position) @ self._rotation if self._old else self._look(self._scan.read(observation))
         target = self._steer(goal, walls)
         return self._move(target, velocity, walls)
 
     @property
-    def people(self):
+    def people(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, 2) of the people believed in, robot frame's axes [m, m/s]."""
         places = self._seen_at + self._old * self._period * self._seen_velocity if self._old else self._seen_at
         return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation
@@ -189,6 +188,7 @@ class Vfh:
         distance = np.sqrt(np.minimum.reduceat(px * px + py * py, starts)) + radius
         x, y = distance * np.cos(middle), distance * np.sin(middle)
         parts, products = np.empty((3, len(label))), np.empty((6, len(label)))
+        squared = np.zeros(len(counts))
         for _ in range(2):
             dx, dy = px - x[label], py - y[label]
             length = np.sqrt(dx * dx + dy * dy)
@@ -253,9 +253,13 @@ class Vfh:
         free = self._free_way(np.array([bearing]), blocking, blocking_ranges)[0]
         if not len(blocking):
             self._follow = None
-        if self._follow is not None and self._scan.sees(bearing):
-            if free >= min(reach, c.leave_free) - 0.2 and distance < self._follow[1] - c.follow_gain:
-                self._follow = None
+        if (
+            self._follow is not None
+            and self._scan.sees(bearing)
+            and free >= min(reach, c.leave_free) - 0.2
+            and distance < self._follow[1] - c.follow_gain
+        ):
+            self._follow = None
         if self._follow is None and free >= reach - 0.2:
             self._steered = self._yaw + bearing
             return goal
@@ -296,6 +300,7 @@ class Vfh:
 
     def _along_wall(self, directions, free, ranges):
         """The first free direction [rad], sweeping from the followed wall away from it."""
+        assert self._follow is not None  # or there is no wall to go along
         side = self._follow[0]
         order = np.argsort(side * directions)
         directions, free = directions[order], free[order]

@@ -1,5 +1,7 @@
 """What a robot did to others, told by a pair: its episode, and the same people for as long without it."""
 
+from typing import Any
+
 import numpy as np
 
 from macid import geometry
@@ -36,7 +38,7 @@ def _met(episode):
     return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
 
 
-def find_effects(episode) -> dict[str, np.ndarray]:
+def find_effects(episode: Any) -> dict[str, np.ndarray]:
     """What the robot did to each person whom it met on the way to that person's first goal: {name: (K,)}, NaN for all
     other people; {} where the Episode has no pair (people_alone).
 

@@ -2,7 +2,8 @@
 
 import contextlib
 import ctypes
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -13,8 +14,10 @@ from bson.simulation.engines.native import NativeEngine
 from bson.simulation.scene import structure
 from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
+from bson.tracks import LocalTrack
 from macid.reward import individual_reward
 
+Ids: TypeAlias = Sequence[int] | np.ndarray  #: numbers of worlds, in ascending order
 KEPT = 4  # worlds of a Session, of different structures
 _GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back costs time when it is asked for again
 
@@ -37,7 +40,15 @@ def _closed():
 class Session:
     """`nworld` worlds of one configuration and track, each in its own episode."""
 
-    def __init__(self, config: TaskConfig, track, nworld=1, seeds=None, nthread=0, engine: MakeEngine = NativeEngine):
+    def __init__(
+        self,
+        config: TaskConfig,
+        track: LocalTrack,
+        nworld: int = 1,
+        seeds: Sequence[Any] | None = None,
+        nthread: int = 0,
+        engine: MakeEngine = NativeEngine,
+    ):
         """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come.
         engine: what moves the worlds (bson.simulation.engines)."""
         check_worlds("nworld", nworld)
@@ -49,13 +60,13 @@ class Session:
         self.reseed(range(nworld), seeds if seeds is not None else [None] * nworld)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World of the present setting. Raises gymnasium.error.ClosedEnvironmentError once closed."""
         if self._world is None:
             raise _closed()
         return self._world
 
-    def configure(self, config: TaskConfig):
+    def configure(self, config: TaskConfig) -> None:
         """Changes the setting of all worlds; they need a reset then. The last models are kept: the most recent of
         another structure (bson.simulation.scene.structure) takes the place of the oldest."""
         if self._worlds is None:
@@ -75,7 +86,7 @@ class Session:
         self.config, self._world = config, world
 
     @contextlib.contextmanager
-    def setting(self, config):
+    def setting(self, config: TaskConfig) -> Iterator[None]:
         """`configure`, taken back, with the seeds' streams, where what happens within raises: episodes then go on."""
         before, streams = self.config, list(self._streams)
         self.configure(config)
@@ -87,7 +98,7 @@ class Session:
             self._streams = streams
             raise
 
-    def close(self):
+    def close(self) -> None:
         """Frees the worlds; closing twice does no harm."""
         worlds = list((self._worlds or {}).values())
         self._worlds = self._world = None
@@ -96,7 +107,7 @@ class Session:
         _give_back()
 
     @contextlib.contextmanager
-    def whole(self):
+    def whole(self) -> Iterator[None]:
         """What happens within happens whole, or not at all: see World.whole; the seeds' streams go back as well."""
         states = [stream.bit_generator.state for stream in self._streams]
         try:
@@ -107,25 +118,25 @@ class Session:
                 stream.bit_generator.state = state
             raise
 
-    def reseed(self, ids, seeds):
+    def reseed(self, ids: Ids, seeds: Sequence[Any]) -> None:
         """Begins the seed streams of the worlds `ids` anew."""
         for index, seed in zip(ids, seeds, strict=True):
             self._streams[index] = np.random.default_rng(None if seed is None else (0x50C1A1, seed))
 
-    def next_seeds(self, ids):
+    def next_seeds(self, ids: Ids) -> list[int]:
         """The seeds of the next episodes of the worlds `ids`, from their streams."""
         return [int(self._streams[index].integers(2**31)) for index in ids]
 
-    def reset(self, ids, seeds):
+    def reset(self, ids: Ids, seeds: Sequence[Any]) -> dict[str, np.ndarray]:
         """A new episode in each of the worlds `ids`, from its seed; returns their observations."""
         self.world.reset(ids, seeds)
         return self.observe(ids)
 
-    def observe(self, ids):
+    def observe(self, ids: Ids) -> dict[str, np.ndarray]:
         """Observations of the worlds `ids`: a dict of arrays with a leading axis (len(ids),)."""
         return self.track.observe(self.world, np.asarray(ids))
 
-    def step(self, ids, action):
+    def step(self, ids: Ids, action: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
         """One control step of the worlds `ids` under `action` (n, 2) in [-1, 1]: shares of the top speed and yaw rate.
 
         Returns observations, reward (n,), terminated (n,), truncated (n,). The reward is eq. 5's: the distance is the
@@ -144,7 +155,7 @@ class Session:
         reward = individual_reward(distance - world.distance[ids], arrived, collided, config.reward)
         return self.observe(ids), reward, arrived, failed | (world.steps[ids] >= config.horizon) & ~arrived
 
-    def info(self, ids):
+    def info(self, ids: Ids) -> dict[str, np.ndarray]:
         """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies; see
         bson.simulation.data."""
         return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}

@@ -1,10 +1,14 @@
 """The vector environment that `gymnasium.make_vec` makes, by its engine."""
 
+from typing import Any
+
+import gymnasium
+
 from bson.env import BsonVectorEnv
 from macid.documents import shown
 
 
-def vector_env(engine="native", **arguments):
+def vector_env(engine: str = "native", **arguments: Any) -> gymnasium.vector.VectorEnv:
     """BsonVectorEnv, or with engine="warp" bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine,
     UsageError without MJX-Warp."""
     if engine == "native":

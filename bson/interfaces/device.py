@@ -42,7 +42,7 @@ class DeviceWorlds:
     workers: processes that draw episodes; None: as many as there are cores to spare, for many worlds.
     """
 
-    def __init__(self, env, seed=0, pool=None, workers=None, ahead=2):
+    def __init__(self, env: Any, seed: int = 0, pool: int | None = None, workers: int | None = None, ahead: int = 2):
         self.env, self.num_envs = env, env.num_envs
         if workers is None:
             workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
@@ -53,13 +53,13 @@ class DeviceWorlds:
         self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
         self._begin = jax.jit(self._first)
 
-    def restart(self, seed):
+    def restart(self, seed: int) -> None:
         """Has the pool's episodes begin at `seed`; `begin` is to follow."""
         pool = self.pool
         pool.close()
         self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers)
 
-    def most_begun(self, steps):
+    def most_begun(self, steps: int) -> int:
         """How many episodes may begin in `steps` steps at most."""
         return self.num_envs * (1 + steps // (self._least + 1))
 
@@ -71,7 +71,7 @@ class DeviceWorlds:
         carry = Carry(states, jnp.zeros(self.num_envs, bool), jnp.asarray(slot, jnp.int32), none, none)
         return carry, jax.vmap(self.env.observation)(states)
 
-    def begin(self):
+    def begin(self) -> Any:
         """A Carry with the next episodes of the pool in all worlds, and its observations."""
         self.pool.ensure(self.num_envs)
         slot = self.pool.begun % self.pool.size
@@ -80,21 +80,21 @@ class DeviceWorlds:
         self._counted = 0
         return carry, observation
 
-    def ready(self, steps=1):
+    def ready(self, steps: int = 1) -> Any:
         """The pool's episodes, once there are enough for `steps` steps. Raises NoFreeSpace."""
         self.pool.ensure(self.most_begun(steps))
         return self.pool.episodes
 
-    def done(self, carry):
+    def done(self, carry: Any) -> None:
         """Counts the episodes that have begun until `carry`. Raises RuntimeError where physics ran out of room."""
         self.count(self.tally(carry))
 
     @staticmethod
-    def tally(carry):
+    def tally(carry: Any) -> jax.Array:
         """What `count` takes: an array of its own, that outlives a `carry` which is given away."""
         return jnp.stack([carry.begun, carry.lost])
 
-    def count(self, tally):
+    def count(self, tally: jax.Array) -> None:
         """`done`, of what `tally` gave."""
         begun, lost = map(int, jax.device_get(tally))
         self.pool.used((begun - self._counted) % 2**32)
@@ -102,7 +102,7 @@ class DeviceWorlds:
         if lost:
             raise RuntimeError(self.env.world.engine.explain(lost))
 
-    def step(self, carry, actions, episodes):
+    def step(self, carry: Any, actions: jax.Array, episodes: Any) -> tuple[Any, Any]:
         """See the class. actions: (num_envs, 2)."""
         env, states, over = self.env, carry.states, carry.over
         number = over.sum(dtype=jnp.int32)
@@ -121,6 +121,6 @@ class DeviceWorlds:
         )
         return carry, Outcome(jax.vmap(env.observation)(after), reward, terminated, truncated, over)
 
-    def close(self):
+    def close(self) -> None:
         """Ends the drawing of episodes."""
         self.pool.close()

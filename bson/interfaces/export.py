@@ -23,7 +23,11 @@ _ROBOT = "robot"  # as bson.robot.add_robot names it
 
 
 def export(
-    config: TaskConfig, track: LocalTrack, seed: int, out: str | pathlib.Path, command="bson.interfaces.export.export()"
+    config: TaskConfig,
+    track: LocalTrack,
+    seed: int,
+    out: str | pathlib.Path,
+    command: str | None = "bson.interfaces.export.export()",
 ) -> pathlib.Path:
     """Writes the episode `seed` of `config`, with the sensors of `track`, to the folder `out`, which is new or empty:
 

@@ -10,6 +10,8 @@ engine's to a tolerance, sensors' noise is drawn otherwise, from the same distri
 too: see `bson.simulation.pool`.
 """
 
+from typing import Any
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -36,8 +38,17 @@ class BsonFuncEnv(FuncEnv):
     engine: WarpConfig, its limits. task: a TaskConfig (default: the paper's); config: fields of it that differ.
     """
 
-    def __init__(self, track="local", sensor="lidar2d", num_envs=1, pool=None, seed=0, engine=None, task=None,
-    **config):
+    def __init__(
+        self,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        num_envs: int = 1,
+        pool: int | None = None,
+        seed: int = 0,
+        engine: Any = None,
+        task: TaskConfig | None = None,
+        **config: Any,
+    ):
         self.config = (task or TaskConfig()).replace(**config)
         self.track = make_track(track, sensor)
         self.num_envs, self._pool_size, self._seed = num_envs, num_envs if pool is None else pool, seed
@@ -45,7 +56,7 @@ class BsonFuncEnv(FuncEnv):
         self.observation_space, self.action_space = self.track.space(self.config), ACTION_SPACE
         self._params = None
 
-    def get_default_params(self, **kwargs):
+    def get_default_params(self, **kwargs: Any) -> Any:
         """The pool of episodes that this environment was made with: drawn by the first call."""
         if self._params is None:
             seeds = range(self._seed, self._seed + self._pool_size)
@@ -53,13 +64,13 @@ class BsonFuncEnv(FuncEnv):
         return self._params
 
     @property
-    def has_map(self):
+    def has_map(self) -> bool:
         """Whether observations have the map, so that the pool's episodes need it."""
         return isinstance(self.track, GlobalTrack)
 
     default_params = property(get_default_params)
 
-    def fresh(self, rng, params=None):
+    def fresh(self, rng: Any, params: Any = None) -> Any:
         """`initial`, but not yet sensed."""
         params = self.default_params if params is None else params
         size = params.goal.shape[0]
@@ -68,20 +79,20 @@ class BsonFuncEnv(FuncEnv):
             rng = jax.random.randint(rng, (), 0, size)
         return self.world.begin(jax.tree.map(lambda x: x[rng % size], params))
 
-    def initial(self, rng, params=None):
+    def initial(self, rng: Any, params: Any = None) -> Any:
         """The state with which an episode of the pool begins: number `rng` of it; or one that the key `rng` draws."""
         return self.world.sense(self.fresh(rng, params))
 
-    def transition(self, state, action, rng=None, params=None):
+    def transition(self, state: Any, action: Any, rng: Any = None, params: Any = None) -> Any:
         """The state after a control step under `action` (2,)."""
         return self.world.sense(self.world.advance(state, action))
 
-    def follow(self, state, action, over, slot, params):
+    def follow(self, state: Any, action: Any, over: Any, slot: Any, params: Any) -> Any:
         """`transition`; where `over` () holds, the episode `slot` of the pool begins instead."""
         moved, fresh = self.world.advance(state, action), self.fresh(slot, params)
         return self.world.sense(jax.tree.map(lambda x, y: jnp.where(over, x, y), fresh, moved))
 
-    def observation(self, state, rng=None, params=None):
+    def observation(self, state: Any, rng: Any = None, params: Any = None) -> Any:
         """The observation in `state`: a dict, as the observation space has it."""
         config, pose = self.config, state.pose
         limit = velocity_limit(config.robot)
@@ -103,22 +114,22 @@ class BsonFuncEnv(FuncEnv):
             }
         return seen
 
-    def reward(self, state, action, next_state, rng=None, params=None):
+    def reward(self, state: Any, action: Any, next_state: Any, rng: Any = None, params: Any = None) -> Any:
         """Eq. 5, of the control step from `state` to `next_state`: ()."""
         collided = next_state.counts[0] > state.counts[0]
         arrived = next_state.arrived & ~next_state.fault
         closer = state.distance - next_state.distance
         return individual_reward(closer, arrived, collided, self.config.reward).astype(jnp.float32)
 
-    def terminal(self, state, rng=None, params=None):
+    def terminal(self, state: Any, rng: Any = None, params: Any = None) -> Any:
         """Whether the robot is at its goal: ()."""
         return state.arrived & ~state.fault
 
-    def truncation(self, state, rng=None, params=None):
+    def truncation(self, state: Any, rng: Any = None, params: Any = None) -> Any:
         """Whether the episode is cut off, at the horizon or where physics failed: ()."""
         return (state.fault | (state.steps >= self.config.horizon)) & ~self.terminal(state)
 
-    def state_info(self, state, params=None):
+    def state_info(self, state: Any, params: Any = None) -> dict[str, Any]:
         """What the metrics need: a dict as in `bson.env.BsonEnv`, but `seed` (2,) is in halves of 32 bits, the lower
         first, and `fault` is a bool."""
         return {
@@ -135,6 +146,6 @@ class BsonFuncEnv(FuncEnv):
             "fault": state.fault,
         }
 
-    def transition_info(self, state, action, next_state, params=None):
+    def transition_info(self, state: Any, action: Any, next_state: Any, params: Any = None) -> dict[str, Any]:
         """`state_info` after a control step."""
         return self.state_info(next_state, params)

@@ -6,6 +6,9 @@ a leading axis: `begin(observation) -> memory` at the start, and `act(memory, ob
 also at the start.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,19 +29,19 @@ class LearnedOnDevice:
 
     track, sensor = learned.Learned.track, learned.Learned.sensor
 
-    def __init__(self, name):
+    def __init__(self, name: str):
         agent = learned.load(name)()
         self._top = agent.top
         self._layers = [tuple(map(jnp.asarray, layer)) for layer in agent.layers]
         self._output = {"clip": lambda x: jnp.clip(x, -1.0, 1.0), "tanh": jnp.tanh}[agent.output]
 
-    def begin(self, observation):
+    def begin(self, observation: Any) -> Any:
         """See the module."""
         number = observation["lidar"].shape[0]
         scans = jnp.zeros((number, SCANS[-1] + 1, SECTORS), jnp.float32)
         return remember(scans, observation["lidar"], jnp.ones(number, bool)), jnp.bool_(True)
 
-    def act(self, memory, observation):
+    def act(self, memory: Any, observation: Any) -> Any:
         """See the module."""
         scans, first = memory
         longer = remember(scans, observation["lidar"], jnp.zeros(scans.shape[0], bool))
@@ -51,7 +54,13 @@ class LearnedOnDevice:
             return self._output(x @ weight + bias), (scans, jnp.bool_(False))
 
 
-def play(agent, config: TaskConfig, seeds, engine=None, progress=None):
+def play(
+    agent: Any,
+    config: TaskConfig,
+    seeds: Sequence[int],
+    engine: Any = None,
+    progress: Callable[..., object] | None = None,
+) -> list[Episode]:
     """The Episodes `seeds` of `config` with `agent`, in that order. progress: called with the number of control steps
     that were done, of all worlds. engine: WarpConfig.
 

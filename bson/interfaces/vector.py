@@ -1,7 +1,8 @@
 """The worlds of `bson.interfaces.functional` as a Gymnasium vector environment: `gymnasium.make_vec(id, num_envs=4096,
 engine="warp")`."""
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import jax
@@ -17,6 +18,7 @@ from bson.simulation.world import check_worlds
 from macid.documents import shown
 
 OUTPUTS = ("numpy", "jax", "torch")
+_METADATA = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
 _NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
 
 
@@ -32,21 +34,21 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     many as are needed. limits: a dict of fields of bson.simulation.engines.warp.WarpConfig.
     """
 
-    metadata: ClassVar = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
+    metadata = _METADATA
 
     def __init__(
         self,
-        num_envs=1,
-        track="local",
-        sensor="lidar2d",
-        render_mode=None,
-        seed=None,
-        autoreset_mode=AutoresetMode.NEXT_STEP,
-        output="numpy",
-        pool=None,
-        workers=None,
-        limits=None,
-        **config,
+        num_envs: int = 1,
+        track: str = "local",
+        sensor: Any = "lidar2d",
+        render_mode: str | None = None,
+        seed: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        output: str = "numpy",
+        pool: int | None = None,
+        workers: int | None = None,
+        limits: dict[str, Any] | None = None,
+        **config: Any,
     ):
         if render_mode is not None:
             raise ValueError("A vector environment draws no pictures: use render_mode=None, or a single environment.")
@@ -68,10 +70,12 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self.single_observation_space, self.single_action_space = self._func.observation_space, ACTION_SPACE
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._pool = {"pool": pool, "workers": workers}
-        self._worlds = self._carry = self._step = self._tally = None
+        self._pool: dict[str, Any] = {"pool": pool, "workers": workers}
+        self._worlds: DeviceWorlds | None = None
+        self._step: Callable | None = None
+        self._carry = self._tally = None
 
-    def reset(self, *, seed=None, options=None):
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every world."""
         if options:
             raise ValueError(
@@ -90,14 +94,15 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._tally = None
         return self._given((observation, self._infos(jax.vmap(self._func.state_info)(self._carry.states))))
 
-    def step(self, actions):
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One control step of every world; a world whose episode ended begins its next instead."""
-        if self._carry is None:
+        worlds, step = self._worlds, self._step
+        if self._carry is None or worlds is None or step is None:
             raise gymnasium.error.ResetNeeded("Call reset before step.")
-        episodes = self._worlds.ready(2)  # the last step may not be counted yet
-        self._carry, outcome, info, tally = self._step(self._carry, self._taken(actions), episodes)
+        episodes = worlds.ready(2)  # the last step may not be counted yet
+        self._carry, outcome, info, tally = step(self._carry, self._taken(actions), episodes)
         if self._tally is not None:
-            self._worlds.count(self._tally)  # of the step before, so that nobody waits for this one
+            worlds.count(self._tally)  # of the step before, so that nobody waits for this one
         self._tally = tally
         ends = outcome.reward, outcome.terminated, outcome.truncated
         observation, (reward, terminated, truncated), info = self._given((outcome.observation, ends, self._infos(info)))
@@ -105,7 +110,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
             reward = reward.astype(float)
         return observation, reward, terminated, truncated, info
 
-    def close_extras(self, **kwargs):
+    def close_extras(self, **kwargs: Any) -> None:
         """Frees all that it holds. Nothing can be stepped or reset then."""
         self._close_worlds()
 
@@ -115,6 +120,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._worlds = self._carry = self._step = self._tally = None
 
     def _stepped(self, carry, actions, episodes):
+        assert self._worlds is not None  # or there is no carry
         carry, outcome = self._worlds.step(carry, actions, episodes)
         return carry, outcome, jax.vmap(self._func.state_info)(carry.states), self._worlds.tally(carry)
 

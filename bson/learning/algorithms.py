@@ -1,13 +1,15 @@
-"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset `paper`
-of bson.learning.train; the defaults differ where that learns better, or in less time.
+"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset
+`paper` of bson.learning.train; the defaults differ where that learns better, or in less time.
 
-Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's and
-TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
+Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's
+and TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
 """
 
 import dataclasses
 import math
+from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
@@ -29,7 +31,7 @@ class PpoConfig:
     epochs: int = 6
     log_std: float = -0.7  # initial
 
-    def build(self, env, seed):
+    def build(self, env: Any, seed: int) -> Any:
         """The stable-baselines3 model that learns in `env`."""
         first, last = self.learning_rate, self.final_learning_rate
         return PPO(
@@ -67,7 +69,7 @@ class SacConfig:
     q: float = 1.0  # entropic index
     joint: bool = False  # ln_q of the action's density; False: the sum over its dimensions of ln_q of each one's
 
-    def build(self, env, seed):
+    def build(self, env: Any, seed: int) -> Any:
         """The stable-baselines3 model that learns in `env`."""
         every = self.steps_per_update // math.gcd(self.steps_per_update, env.num_envs)  # control steps of all worlds
         return SAC(
@@ -87,15 +89,15 @@ class SacConfig:
         )
 
 
-def linear_layers(module):
+def linear_layers(module: torch.nn.Module) -> list[tuple[np.ndarray, np.ndarray]]:
     """[(weight (in, out), bias (out,)), ...] of a torch module's linear layers, in order, as NumPy float32."""
     linear = [layer for layer in module.modules() if isinstance(layer, torch.nn.Linear)]
     return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
 
 
-def export(model):
-    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one with
-    an actor, as SAC has, "clip" of others."""
+def export(model: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
+    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one
+    with an actor, as SAC has, "clip" of others."""
     if hasattr(model, "actor"):
         return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
     policy = model.policy

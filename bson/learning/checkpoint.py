@@ -1,6 +1,7 @@
-"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run code."""
+"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run
+code."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -54,7 +55,7 @@ class Noted(msgspec.Struct):
     keeper: _Keeper
 
 
-def collect(model, keeper):
+def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """({name: array}, what to note, as Noted) of a model and of the state of its keeper."""
     found, rates, stepped = {}, {}, []
     for name, state in model.get_parameters().items():
@@ -68,6 +69,7 @@ def collect(model, keeper):
             found |= {f"{name}/{index}/{key}": moment.cpu().numpy() for key, moment in moments.items()}
     found |= {name: tensor.detach().cpu().numpy() for name, tensor in _variables(model).items()}
     replay, noted_replay = getattr(model, "replay_buffer", None), None
+    rows = 0  # of the replay buffer
     if replay is not None:
         rows = len(replay.observations) if replay.full else replay.pos
         found |= {f"replay/{name}": getattr(replay, name)[:rows] for name in _REPLAY}
@@ -90,7 +92,7 @@ def collect(model, keeper):
     }
 
 
-def restore(model, found, noted, layers):
+def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], layers: Any) -> dict[str, Any]:
     """Puts a checkpoint's arrays `found` and what it `noted` into a new `model`; returns the state of its keeper.
 
     layers: such as the keeper's best has. Raises ValueError, before anything is changed, for what is of another model.
@@ -100,8 +102,8 @@ def restore(model, found, noted, layers):
         if "param_groups" not in state:
             wanted |= {f"{name}/{key}": tensor.numpy() for key, tensor in state.items()}
         elif name in noted["stepped"]:
-            for index, tensor in enumerate(_owned(model, name)):
-                whole = tensor.detach().numpy()
+            for index, parameter in enumerate(_owned(model, name)):
+                whole = parameter.detach().numpy()
                 likes = (np.zeros((), np.float32), whole, whole)
                 wanted |= {f"{name}/{index}/{key}": like for key, like in zip(_MOMENTS, likes, strict=True)}
     optimizers = {name: state["param_groups"] for name, state in parameters.items() if "param_groups" in state}
@@ -112,12 +114,16 @@ def restore(model, found, noted, layers):
     replay, filled = getattr(model, "replay_buffer", None), noted["replay"]
     if (replay is None) != (filled is None):
         raise ValueError("it is of another algorithm: one has a replay buffer")
+    rows = 0  # of the replay buffer
     if replay is not None:
         rows = len(replay.observations) if filled["full"] else filled["pos"]
         if not filled["pos"] < len(replay.observations):
             raise ValueError(f"its replay buffer has {filled['pos']} rows of {len(replay.observations)}")
         wanted |= {f"replay/{name}": getattr(replay, name)[:rows] for name in _REPLAY}
-    wanted |= {"random/torch": torch.get_rng_state().numpy(), "random/numpy": np.random.get_state()[1]}
+    wanted |= {
+        "random/torch": torch.get_rng_state().numpy(),
+        "random/numpy": np.random.get_state(legacy=False)["state"]["key"],
+    }
     best = noted["keeper"]["best"]
     if best:
         if "SNS" not in best["validation"]:
@@ -166,7 +172,7 @@ def _variables(model):
     return {name: value for name in _VARIABLES if torch.is_tensor(value := getattr(model, name, None))}
 
 
-def _owned(model, name):
+def _owned(model, name) -> list[torch.nn.Parameter]:
     """The parameters of the optimiser `name` ("actor.optimizer"), in its order."""
     owner = model
     for part in name.split("."):

@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import pathlib
 import time
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -77,13 +78,13 @@ class DeviceTrainConfig:
         TaskConfig().replace(**self.task)  # raises what is wrong with it
 
     @property
-    def name(self):
+    def name(self) -> str:
         """The algorithm, the engine, and among whom where these are not the default pedestrians."""
         model = self.task.get("pedestrian_model")
         return "-".join(["ppo-warp", *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
     @property
-    def updates(self):
+    def updates(self) -> int:
         """How often rollouts are learned from."""
         return max(1, -(-self.steps // (self.num_envs * self.hyperparameters.rollout)))
 
@@ -106,7 +107,7 @@ class Stream(NamedTuple):
     earned: Any  #: reward of the episode so far
 
 
-def network(layers, x):
+def network(layers: Any, x: jax.Array) -> jax.Array:
     """What `bson.agents.learned` runs: layers with ReLU between, x (..., in)."""
     for weight, bias in layers[:-1]:
         x = jnp.maximum(x @ weight + bias, 0.0)
@@ -117,7 +118,7 @@ def network(layers, x):
 class DevicePpo:
     """The training of `config`, as functions for jax.jit."""
 
-    def __init__(self, config: DeviceTrainConfig, workers=None, engine=None):
+    def __init__(self, config: DeviceTrainConfig, workers: int | None = None, engine: Any = None):
         self.config, self.hyper = config, config.hyperparameters
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, **config.task)
         self._ahead = 2 * self.hyper.rollout  # an iteration that runs, and one that is asked for
@@ -140,7 +141,7 @@ class DevicePpo:
         self.optimizer = ppo.make_optimizer(self._ppo, steps, ("policy", "value"))
         self.iterate = jax.jit(self._iterate, donate_argnums=(0, 1))
 
-    def learner(self):
+    def learner(self) -> Any:
         """The Learner with which a training begins."""
         key = jax.random.key(self.config.seed)
         key, policy, value = jax.random.split(key, 3)
@@ -154,7 +155,7 @@ class DevicePpo:
         }
         return Learner(parameters, self.optimizer.init(parameters), jax.random.key_data(key), jnp.int32(0))
 
-    def stream(self):
+    def stream(self) -> Any:
         """The Stream of worlds in which episodes have just begun."""
         carry, seen = self.worlds.begin()
         number = self.config.num_envs
@@ -220,7 +221,7 @@ class DevicePpo:
         learner = Learner(parameters, optimizer, jax.random.key_data(key), learner.done + 1)
         return learner, stream, told, self.worlds.tally(stream.carry)
 
-    def run(self, learner, stream, number=1):
+    def run(self, learner: Any, stream: Any, number: int = 1) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
         """`number` iterations; yields (Learner, Stream, figures {name: number}) after each. It looks at figures one
         iteration late, so that the device need not wait."""
         waiting = []  # figures and tallies
@@ -234,11 +235,12 @@ class DevicePpo:
                 self.worlds.count(tally)
                 yield learner, stream, {name: float(value) for name, value in jax.device_get(told).items()}
 
-    def layers(self, learner):
+    def layers(self, learner: Any) -> list[tuple[np.ndarray, np.ndarray]]:
         """The policy's layers, as bson.agents.learned has them."""
-        return [tuple(map(np.asarray, layer)) for layer in learner.parameters["policy"]["layers"]]
+        layers = learner.parameters["policy"]["layers"]
+        return [(np.asarray(weight), np.asarray(bias)) for weight, bias in layers]
 
-    def close(self):
+    def close(self) -> None:
         """Ends the drawing of episodes."""
         self.worlds.close()
 
@@ -251,7 +253,14 @@ class Noted(msgspec.Struct, forbid_unknown_fields=True):
     used: int  # episodes that were begun
 
 
-def train(config, out, resume=False, show=lambda steps, figures: None, seconds_between_checkpoints=120.0, workers=None):
+def train(
+    config: DeviceTrainConfig,
+    out: str | pathlib.Path,
+    resume: bool = False,
+    show: Callable[..., object] = lambda steps, figures: None,
+    seconds_between_checkpoints: float = 120.0,
+    workers: int | None = None,
+) -> pathlib.Path:
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json, curve.csv and a
     checkpoint.
 

@@ -1,16 +1,22 @@
 """Behaviour cloning: regression on the better episodes of an expert (paper, sec. VI-D)."""
 
 import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 import torch
 
 from bson.agents.contract import Setting, made_for
+from bson.agents.learned import Learned
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
 from bson.metrics import sns
+from bson.task import TaskConfig
+from bson.tracks import LocalTrack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,17 +32,25 @@ class BcConfig:
     epochs: int = 20
 
 
-def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
+def demonstrate(
+    expert: Callable[..., Any],
+    config: TaskConfig,
+    track: LocalTrack,
+    steps: int,
+    seed: int,
+    nworld: int = 16,
+    progress: Callable[[int], object] | None = None,
+) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
     actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
     setting = Setting.of(config, track)
-    agent = made_for(expert, setting)
+    agent = cast(Learned, made_for(expert, setting))
     session = Session(config, track, nworld, seeds=[seed + index for index in range(nworld)])
     everyone = np.arange(nworld)
     features, its = Features(nworld, setting.top), Features(nworld, agent.top)
     begun = session.reset(everyone, session.next_seeds(everyone))
     x, its_x = features.begin(everyone, begun), its.begin(everyone, begun)
-    recorders = [Recorder(session, index) for index in everyone]
+    recorders = [Recorder(session, int(index)) for index in everyone]
     seen, done = [([], []) for _ in everyone], []
     collected = 0
     while collected < steps:
@@ -59,31 +73,37 @@ def demonstrate(expert, config, track, steps, seed, nworld=16, progress=None):
             begun = session.reset(ended, session.next_seeds(ended))
             x[ended], its_x[ended] = features.begin(ended, begun), its.begin(ended, begun)
             for index in ended:
-                recorders[index] = Recorder(session, index)
+                recorders[index] = Recorder(session, int(index))
         if progress:
             progress(nworld)
     return done
 
 
-def select(episodes, keep):
+def select(episodes: Sequence[tuple[float, np.ndarray, np.ndarray]], keep: float) -> tuple[np.ndarray, np.ndarray]:
     """Features (N, FEATURES) and actions (N, 2) of the share `keep` of `episodes` with the highest SNS."""
     best = sorted(episodes, key=lambda episode: -episode[0])[: max(1, round(keep * len(episodes)))]
     return np.concatenate([x for _, x, _ in best]), np.concatenate([action for _, _, action in best])
 
 
-def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
+def clone(
+    x: np.ndarray,
+    action: np.ndarray,
+    config: BcConfig,
+    seed: int,
+    show: Callable[[int, float, float], object] = lambda epoch, loss, held_out: None,
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Layers that map features `x` (N, FEATURES) to `action` (N, 2), by least squares; a twentieth is held out.
 
     show: called after each epoch with its number, the loss and that of the held-out share.
     """
     torch.manual_seed(seed)
     sizes = (FEATURES, *config.hidden, action.shape[1])
-    linear = [torch.nn.Linear(*pair) for pair in zip(sizes[:-1], sizes[1:], strict=True)]
+    linear = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
     between = [layer for each in linear[:-1] for layer in (each, torch.nn.ReLU())]
     network = torch.nn.Sequential(*between, linear[-1])
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
     order = torch.randperm(len(x))
-    x, action = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
+    given, wanted = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
     held = max(1, len(x) // 20)
     batches = max(1, (len(x) - held) // config.batch)
     last = config.final_learning_rate / config.learning_rate
@@ -91,13 +111,13 @@ def clone(x, action, config, seed, show=lambda epoch, loss, held_out: None):
     for epoch in range(1, config.epochs + 1):
         total = 0.0
         for rows in (held + torch.randperm(len(x) - held)).chunk(batches):
-            loss = torch.nn.functional.mse_loss(network(x[rows]), action[rows])
+            loss = torch.nn.functional.mse_loss(network(given[rows]), wanted[rows])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             schedule.step()
             total += loss.item()
         with torch.no_grad():
-            held_out = torch.nn.functional.mse_loss(network(x[:held]), action[:held]).item()
+            held_out = torch.nn.functional.mse_loss(network(given[:held]), wanted[:held]).item()
         show(epoch, total / batches, held_out)
     return linear_layers(network)

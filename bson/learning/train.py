@@ -6,6 +6,7 @@ import functools
 import pathlib
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,8 @@ _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
     "fast": ALGORITHMS,
-    # What the paper gives (secs. IV-C, VI-D). The entropy's weight is that of TAC's authors (Lee et al. 2020), as the paper has none.
+    # What the paper gives (secs. IV-C, VI-D). It gives no weight of the entropy: that is of TAC's authors (Lee et al.
+    # 2020).
     "paper": {
         "ppo": PpoConfig(final_learning_rate=1e-3, gamma=0.999, batch=128, epochs=10),
         "sac": _PAPER_SAC,
@@ -62,8 +64,8 @@ PRESETS = {
 
 
 def _own(found, name):
-    """Somebody's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3 model;
-    `export(model)`, if there is one, gives layers and output as algorithms.export does."""
+    """Somebody's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3
+    model; `export(model)`, if there is one, gives layers and output as algorithms.export does."""
     with KIND.running(name, "making one"):
         found = found() if isinstance(found, type) else found
     if not (dataclasses.is_dataclass(found) and callable(getattr(found, "build", None))):
@@ -75,8 +77,8 @@ KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
 
 
 def hyperparameters(algo: str, preset: str = "fast") -> Any:
-    """The configuration of the algorithm `algo` in a preset; one's own algorithm has it the same in all. Raises UsageError,
-    naming the valid choices."""
+    """The configuration of the algorithm `algo` in a preset; one's own algorithm has it the same in all. Raises
+    UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
     return PRESETS[preset].get(algo) or KIND.load(algo)
@@ -108,17 +110,17 @@ class TrainConfig:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
-        self.setting  # raises what is wrong with the task
+        TaskConfig().replace(**self.task)  # raises what is wrong with it
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", found)
 
     @property
-    def setting(self):
+    def setting(self) -> TaskConfig:
         """The TaskConfig of the worlds."""
         return TaskConfig().replace(**self.task)
 
     @property
-    def name(self):
+    def name(self) -> str:
         """The algorithm, its preset where that is not the default, and among whom where these are not the default
         pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
@@ -136,7 +138,8 @@ class _Keeper:
 
     def __init__(self, config, folder):
         self.config, self.folder, self.board = config, folder, None
-        self.curve, self.validations, self.best, self.spent = [], [], None, 0.0
+        self.curve, self.validations, self.spent = [], [], 0.0
+        self.best: dict | None = None  # of what scored best: layers, output, steps, validation
         self._begin = time.monotonic()
 
     @property
@@ -164,7 +167,9 @@ class _Keeper:
 
         seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
         config = self.config
-        agent = functools.partial(learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist()))
+        agent = functools.partial(
+            learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist())
+        )
         episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
         measured = [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
@@ -185,6 +190,7 @@ class _Keeper:
     def write(self, steps):
         """Writes the best policy so far, with its recipe."""
         best = self.best
+        assert best is not None  # since the first validation
         recipe = {
             "name": self.config.name,
             **plain(self.config),
@@ -235,7 +241,7 @@ class _Progress(BaseCallback):
 
 
 @contextlib.contextmanager
-def one_thread():
+def one_thread() -> Iterator[None]:
     """Lets torch compute in one thread: for networks this small, threads wait for each other longer than they work,
     and MuJoCo has threads of its own."""
     before = torch.get_num_threads()
@@ -283,9 +289,9 @@ def _restored(keeper):
     return model
 
 
-def is_done(config, folder):
-    """Whether the training `config` has its policy, to the last step, in `folder`. Raises UsageError, which says what to do,
-    where the policy's recipe is damaged."""
+def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
+    """Whether the training `config` has its policy, to the last step, in `folder`. Raises UsageError, which says what
+    to do, where the policy's recipe is damaged."""
     path = folder / "policy.json"
     if not (folder / "policy.npz").exists() or not path.exists():
         return False
@@ -301,13 +307,13 @@ def is_done(config, folder):
 
 @one_thread()
 def train(
-    config,
-    out,
-    resume=False,
-    show=lambda steps, figures, validation=False: None,
-    seconds_between_checkpoints=120,
-    tensorboard=False,
-):
+    config: TrainConfig,
+    out: str | pathlib.Path,
+    resume: bool = False,
+    show: Callable[..., object] = lambda steps, figures, validation=False: None,
+    seconds_between_checkpoints: float = 120,
+    tensorboard: bool = False,
+) -> pathlib.Path:
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json and, once
     episodes have ended, curve.csv.
 
@@ -315,9 +321,9 @@ def train(
     macid.learning.curves.Board).
     show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
     resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints: it
-    begins anew, unless it was done. Raises UsageError if the folder has another configuration's training, or, without
-    `resume`, this one's, or if another process trains there.
+    the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints:
+    it begins anew, unless it was done. Raises UsageError if the folder has another configuration's training, or,
+    without `resume`, this one's, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
@@ -340,7 +346,7 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if isinstance(config.hyperparameters, BcConfig):
         return _train_bc(config, keeper, show)
     resumed = model is not None
-    if resumed:
+    if model is not None:
         show(model.num_timesteps, {})
     else:
         model = config.hyperparameters.build(_env(config), config.seed)
@@ -358,7 +364,9 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     return folder
 
 
-def train_with_bar(config, out, resume=False, tensorboard=False):
+def train_with_bar(
+    config: TrainConfig, out: str | pathlib.Path, resume: bool = False, tensorboard: bool = False
+) -> pathlib.Path:
     """`train` with a progress bar on stderr, and a line for each validation."""
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
@@ -378,7 +386,9 @@ def train_with_bar(config, out, resume=False, tensorboard=False):
                 print(file=sys.stderr)
 
 
-def train_apart(executor, configs, out, resume=False):
+def train_apart(
+    executor: Any, configs: Sequence[TrainConfig], out: str | pathlib.Path, resume: bool = False
+) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
     `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
     carried, done = Carried(), {}
@@ -387,7 +397,11 @@ def train_apart(executor, configs, out, resume=False):
         expert = getattr(config.hyperparameters, "expert", "")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
     with tqdm(
-        total=sum(config.steps for config in configs), unit="step", unit_scale=True, desc=configs[0].name, file=sys.stderr
+        total=sum(config.steps for config in configs),
+        unit="step",
+        unit_scale=True,
+        desc=configs[0].name,
+        file=sys.stderr,
     ) as bar:
 
         def show(config, steps, figures, validation=False):

@@ -1,6 +1,6 @@
 """BSON's vector environment as stable-baselines3 wants it: with all that is observed, or with features of it."""
 
-import types
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -10,6 +10,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from bson import metrics
 from bson.env import BsonVectorEnv
 from bson.features import FEATURES, Features
+from bson.simulation.world import World
 
 
 class _Worlds(VecEnv):
@@ -50,29 +51,30 @@ class WorldsVecEnv(_Worlds):
         PPO("MultiInputPolicy", env).learn(100_000)
 
     Observations are the dicts of all worlds. A world whose episode ended begins its next in the same step, in each of
-    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r, length
-    l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields for it,
-    the same for all worlds. Raises ValueError for an environment that is not BSON's.
+    Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r,
+    length l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields
+    for it, the same for all worlds. Raises ValueError for an environment that is not BSON's.
     """
 
-    def __init__(self, env):
-        if not isinstance(getattr(env, "unwrapped", None), BsonVectorEnv):
+    def __init__(self, env: gymnasium.vector.VectorEnv):
+        worlds = getattr(env, "unwrapped", None)
+        if not isinstance(worlds, BsonVectorEnv):
             raise ValueError(f"WorldsVecEnv takes what gymnasium.make_vec('BSON/...') gives, not {env!r}.")
-        self._env, self.render_mode = env, None
+        self._env, self._worlds, self.render_mode = env, worlds, None
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, int)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World of all, for whoever needs more than the observation."""
-        return self._env.unwrapped.world
+        return self._worlds.world
 
-    def reset(self):
+    def reset(self) -> Any:
         """Begins an episode in every world; their observations."""
         options = self._options[0]
         if any(other != options for other in self._options):
             raise ValueError("The worlds share one configuration: give one set of options for all.")
-        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        seeds: Any = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observation, info = self._env.reset(seed=seeds, options=options or None)
         self.reset_infos = self._infos(info)
         self._reset_seeds()
@@ -80,7 +82,7 @@ class WorldsVecEnv(_Worlds):
         self._returns[:], self._lengths[:] = 0.0, 0
         return observation
 
-    def step_wait(self):
+    def step_wait(self) -> Any:
         """A control step: observations, rewards (num_envs,), dones, infos."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         self._returns += reward
@@ -120,9 +122,11 @@ class FeatureVecEnv(_Worlds):
     """`num_envs` worlds of the task `config` (TaskConfig's fields). An ended episode's info has `episode`: return r,
     length l, and the parts of the score."""
 
-    def __init__(self, num_envs, seed, nthread=0, **config):
-        self._env = BsonVectorEnv(num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config)
-        robot = self._env.config.robot
+    def __init__(self, num_envs: int, seed: Any, nthread: int = 0, **config: Any):
+        self._env = self._worlds = BsonVectorEnv(
+            num_envs, seed=seed, autoreset_mode=AutoresetMode.DISABLED, nthread=nthread, **config
+        )
+        robot = self._worlds.config.robot
         self._features = Features(num_envs, (robot.max_speed, robot.max_yaw_rate))
         self._all = np.arange(num_envs)
         self._returns, self.render_mode = np.zeros(num_envs), None
@@ -130,17 +134,17 @@ class FeatureVecEnv(_Worlds):
         super().__init__(num_envs, space, self._env.single_action_space)
 
     @property
-    def world(self):
+    def world(self) -> World:
         """The World of all, for whoever measures it."""
-        return self._env.world
+        return self._worlds.world
 
-    def reset(self):
+    def reset(self) -> np.ndarray:
         """Begins an episode in every world; features (num_envs, FEATURES)."""
         observation, _ = self._env.reset()
         self._returns[:] = 0.0
         return self._features.begin(self._all, observation)
 
-    def step_wait(self):
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """A control step: features, rewards (num_envs,), dones, infos. Worlds whose episodes ended begin their next."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         features = self._features.step(self._all, observation)
@@ -161,7 +165,7 @@ class FeatureVecEnv(_Worlds):
         return features, reward.astype(np.float32), done, infos
 
     def _summary(self, index, info):
-        driven = types.SimpleNamespace(
+        driven = metrics.Driven(
             start_distance=info["start_distance"][index],
             final_distance=info["distance"][index],
             travelled=info["travelled"][index],
@@ -170,7 +174,7 @@ class FeatureVecEnv(_Worlds):
         )
         return {
             "r": float(self._returns[index]),
-            "l": round(float(driven.duration) / self._env.config.control_period),
+            "l": round(float(driven.duration) / self._worlds.config.control_period),
             "SNS": float(metrics.sns(driven)),
             "RC": float(metrics.route_completion(driven)),
             "Coll": float(driven.collisions),

@@ -2,11 +2,13 @@
 
 import functools
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy import ndimage
 
 from macid import routing
+from macid.layout import Layout
 
 _TOUCH = 1e-9  # how close to a line between cells is on it [cells]
 
@@ -41,51 +43,51 @@ class Grid:
         object.__setattr__(self, "origin", origin)
 
     @classmethod
-    def from_layout(cls, layout, resolution=0.25, radius=0.0):
+    def from_layout(cls, layout: Layout, resolution: float = 0.25, radius: float = 0.0) -> Self:
         """The grid of a macid Layout: occupied where a disc of `radius` [m] at the cell's centre touches something.
 
         resolution [m] is adapted to a whole number of cells a side.
         """
         resolution = layout.size / max(1, round(layout.size / resolution))
-        return cls(routing.occupancy_grid(layout, resolution, radius), resolution, (-layout.size / 2,) * 2)
+        return cls(routing.occupancy_grid(layout, resolution, radius), resolution, np.full(2, -layout.size / 2))
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         """(rows, columns)."""
         return self.occupied.shape
 
-    def cells(self, points):
+    def cells(self, points: Any) -> np.ndarray:
         """Cells (..., 2) int (row, column) that `points` (..., 2) [m] lie in, on the map or off it."""
         return np.floor(self.scaled(points)).astype(int)[..., ::-1]
 
-    def centres(self, cells):
+    def centres(self, cells: Any) -> np.ndarray:
         """Centres (..., 2) [m] of `cells` (..., 2) (row, column)."""
         return self.unscaled(np.asarray(cells)[..., ::-1] + 0.5)
 
-    def free(self, points):
+    def free(self, points: Any) -> np.ndarray:
         """Whether each of `points` (..., 2) [m] is on the map and touches no occupied cell: (...) bool."""
         return ~self._touches(self.scaled(points))
 
-    def lines_are_free(self, starts, ends):
+    def lines_are_free(self, starts: Any, ends: Any) -> np.ndarray:
         """Whether the segments from `starts` to `ends` (..., 2) [m] stay on the map and touch no occupied cell."""
         starts, ends = np.broadcast_arrays(self.scaled(starts), self.scaled(ends))
         costs = line_costs(self, None, starts.reshape(-1, 2), ends.reshape(-1, 2))
         return np.isfinite(costs).reshape(starts.shape[:-1])
 
     @functools.cached_property
-    def clearance(self):
+    def clearance(self) -> np.ndarray:
         """Distance (rows, columns) [m] from each cell's centre to the nearest occupied cell or the map's edge."""
         # The point of an occupied square that is nearest to another cell's centre is one of those that _closed marks.
-        return (ndimage.distance_transform_edt(~self._closed) * (self.resolution / 2))[1::2, 1::2]
+        return (np.asarray(ndimage.distance_transform_edt(~self._closed)) * (self.resolution / 2))[1::2, 1::2]
 
-    def inflated(self, radius):
+    def inflated(self, radius: float) -> "Grid":
         """The grid with obstacles and the map's edge grown by `radius` [m].
 
         A disc of that radius fits at the centre of each free cell, and one smaller by 0.71 resolutions anywhere in it.
         """
         return Grid(self.occupied | (self.clearance <= radius), self.resolution, self.origin)
 
-    def nearest_free(self, point):
+    def nearest_free(self, point: Any) -> np.ndarray:
         """The centre (2,) [m] of the free cell nearest to `point` (2,) [m]; a free point is its own. Raises NoPath."""
         if self.free(point):
             return np.asarray(point, dtype=float)
@@ -96,12 +98,15 @@ class Grid:
         return centres[((centres - point) ** 2).sum(axis=-1).argmin()]
 
     @functools.cached_property
-    def regions(self):
+    def regions(self) -> np.ndarray:
         """Numbers (rows, columns) of the connected parts of free space; 0: occupied."""
-        return ndimage.label(~self.occupied)[0]  # by sides: a diagonal that cuts no corner has a way around by sides
+        # By sides: a diagonal that cuts no corner has a way around by sides.
+        regions = np.zeros(self.shape, np.int32)
+        ndimage.label(~self.occupied, output=regions)
+        return regions
 
     @functools.cached_property
-    def moves(self):
+    def moves(self) -> Any:
         """What `macid.routing.grid_graph` has of the grid: the free cells' numbers and the graph of moves [cells]."""
         return routing.grid_graph(self.occupied)
 
@@ -119,11 +124,11 @@ class Grid:
         closed[[0, -1]] = closed[:, [0, -1]] = True
         return closed
 
-    def scaled(self, points):
+    def scaled(self, points: Any) -> np.ndarray:
         """`points` (..., 2) [m] as (x, y) in cells from the origin."""
         return (np.asarray(points, dtype=float) - self.origin) / self.resolution
 
-    def unscaled(self, points):
+    def unscaled(self, points: Any) -> np.ndarray:
         """`points` (..., 2) in cells from the origin as (x, y) [m], world frame."""
         return points * self.resolution + self.origin
 
@@ -135,7 +140,7 @@ class Grid:
         return self._closed.ravel()[index[..., 1] * columns + index[..., 0]]
 
 
-def line_costs(grid, rate, starts, ends):
+def line_costs(grid: Grid, rate: np.ndarray | None, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Integral (M,) of `rate` along the segments from `starts` (M, 2) or (2,) to `ends` (M, 2); infinite where blocked.
 
     Points and lengths in cells. rate: (rows, columns), or None for 1.
@@ -165,7 +170,7 @@ def line_costs(grid, rate, starts, ends):
     return costs
 
 
-def path_cost(path, grid, cost=None):
+def path_cost(path: np.ndarray, grid: Grid, cost: np.ndarray | None = None) -> float:
     """Integral [m] of `1 + cost` along `path` (N, 2) [m]: its length where cost is None; infinite where it is blocked.
 
     cost: (rows, columns), at least 0. Raises ValueError for another.
@@ -174,7 +179,7 @@ def path_cost(path, grid, cost=None):
     return float(line_costs(grid, cost_rate(grid, cost), path[:-1], path[1:]).sum() * grid.resolution)
 
 
-def cost_rate(grid, cost):
+def cost_rate(grid: Grid, cost: np.ndarray | None) -> np.ndarray | None:
     """1 + cost, or None for None. Raises ValueError for what is no cost map of the grid."""
     if cost is None:
         return None

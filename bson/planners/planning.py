@@ -1,10 +1,11 @@
 """One call for every planner, and one that takes the detours out of a path."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from bson.planners.grid import NoPath, cost_rate, line_costs
+from bson.planners.grid import Grid, NoPath, cost_rate, line_costs
 from bson.planners.search import AStarConfig, DijkstraConfig, astar, dijkstra
 from bson.planners.trees import CarrtStar, CarrtStarConfig, Rrt, RrtConfig, RrtStar, RrtStarConfig
 from macid.files import UsageError
@@ -16,9 +17,12 @@ def _tree(kind):
 
 
 def _own(found, name):
-    """Somebody's own planner, `planner(grid, rate, start, goal, rng, config, known) -> (N, 2)` in cells, and its Config."""
+    """Somebody's own planner, `planner(grid, rate, start, goal, rng, config, known) -> (N, 2)` in cells, and its
+    Config."""
     if not callable(found):
-        raise UsageError(f"Planner '{name}' is not callable: it is a function of (grid, rate, start, goal, rng, config, known).")
+        raise UsageError(
+            f"Planner '{name}' is not callable: it is a function of (grid, rate, start, goal, rng, config, known)."
+        )
 
     def planner(*arguments):
         with KIND.running(name, "planning"):
@@ -39,15 +43,25 @@ PLANNERS = tuple(_PLANNERS)
 KIND: Kind[tuple[Callable, type | None]] = Kind("planner", _PLANNERS, own="function", check=_own)
 
 
-def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
+def plan(
+    name: str,
+    grid: Grid,
+    start: Any,
+    goal: Any,
+    cost: Any = None,
+    rng: Any = None,
+    config: Any = None,
+    known: Any = None,
+) -> np.ndarray:
     """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
 
-    name: one of PLANNERS, or one's own, `module:function` or `file.py:function` (see _own). cost: (rows, columns), at least 0, as of `social_cost`. rng: what the trees draw from, a
-    numpy Generator or a seed; None: seed 0. config: the planner's own (AStarConfig, ...); None: its defaults.
-    known: a path (N, 2) [m] that the trees begin with, as far as it is free, such as what is left of the last one
-    (anytime RRT*: Karaman et al., ICRA 2011). Then RRT returns it, and the others are no worse than it if it leads to the goal.
-    Raises NoPath where there is none or none was found, and ValueError where start or goal is off the map or in an
-    obstacle (`Grid.nearest_free` helps) and for what is no planner, cost map, config or path.
+    name: one of PLANNERS, or one's own, `module:function` or `file.py:function` (see _own). cost: (rows, columns), at
+    least 0, as of `social_cost`. rng: what the trees draw from, a numpy Generator or a seed; None: seed 0. config: the
+    planner's own (AStarConfig, ...); None: its defaults. known: a path (N, 2) [m] that the trees begin with, as far as
+    it is free, such as what is left of the last one (anytime RRT*: Karaman et al., ICRA 2011). Then RRT returns it, and
+    the others are no worse than it if it leads to the goal. Raises NoPath where there is none or none was found, and
+    ValueError where start or goal is off the map or in an obstacle (`Grid.nearest_free` helps) and for what is no
+    planner, cost map, config or path.
     """
     planner, kind = KIND.load(name)
     config = kind() if config is None and kind is not None else config
@@ -81,7 +95,7 @@ def plan(name, grid, start, goal, cost=None, rng=None, config=None, known=None):
     return path
 
 
-def shortcut(path, grid, cost=None):
+def shortcut(path: Any, grid: Grid, cost: Any = None) -> np.ndarray:
     """`path` (N, 2) [m] with straight lines for its detours: from each point on to the farthest one that can be reached
     straight, without touching an occupied cell and at no higher cost. Returns (M, 2), M <= N, cost as in `plan`.
 

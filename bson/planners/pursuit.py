@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
+from bson.robot import RobotConfig
 
-def nearest_on(path, place):
+
+def nearest_on(path: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
     """The leg (an index) of `path` (N, 2), N >= 2, that is nearest to `place` (2,), and its point (2,) that is."""
     legs = np.diff(path, axis=0)
     part = ((place - path[:-1]) * legs).sum(axis=-1) / np.maximum((legs**2).sum(axis=-1), 1e-12)
@@ -39,7 +42,7 @@ class PurePursuit:
                 raise ValueError(f"{name} must be positive, not {value!r}.")
 
     @classmethod
-    def of(cls, robot, period):
+    def of(cls, robot: RobotConfig, period: float) -> Self:
         """The follower for a RobotConfig that decides every `period` [s]: within its limits, it looks as far ahead, and
         turns as slowly, as it needs to decide again in between."""
         speed = min(cls.max_speed, robot.max_speed)
@@ -51,7 +54,7 @@ class PurePursuit:
             turn_time=max(cls.turn_time, 1.5 * period),
         )
 
-    def __call__(self, pose, path):
+    def __call__(self, pose: np.ndarray, path: np.ndarray) -> tuple[float, float]:
         """The command (v [m/s], w [rad/s]) at `pose` (3,) (x, y, yaw) for `path` (N, 2); (0, 0) at its end.
 
         Both are in the world frame [m, rad].

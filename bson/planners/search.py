@@ -3,10 +3,12 @@
 import heapq
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from bson.planners.grid import Grid
 from macid.routing import shortest
 
 _TIE = 1e-9  # ways whose costs differ by less than this share are equal
@@ -30,12 +32,16 @@ class AStarConfig(DijkstraConfig):
             raise ValueError(f"weight must be at least 0, not {self.weight!r}.")
 
 
-def dijkstra(grid, rate, start, goal, rng, config, known):
+def dijkstra(
+    grid: Grid, rate: np.ndarray | None, start: np.ndarray, goal: np.ndarray, rng: Any, config: Any, known: Any
+) -> np.ndarray:
     """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. The others have no effect."""
     return _search(grid, rate, start, goal, 0.0)
 
 
-def astar(grid, rate, start, goal, rng, config, known):
+def astar(
+    grid: Grid, rate: np.ndarray | None, start: np.ndarray, goal: np.ndarray, rng: Any, config: Any, known: Any
+) -> np.ndarray:
     """As `dijkstra`, with AStarConfig's heuristic."""
     return _search(grid, rate, start, goal, config.weight)
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bson.planners.grid import Grid
+
 
 @dataclass(frozen=True)
 class SocialCostConfig:
@@ -19,7 +21,9 @@ class SocialCostConfig:
             raise ValueError(f"weight and stretch must be at least 0 and sigma above, not {self}.")
 
 
-def social_cost(grid, people, velocity, config=SocialCostConfig()):
+def social_cost(
+    grid: Grid, people: np.ndarray, velocity: np.ndarray, config: SocialCostConfig = SocialCostConfig()
+) -> np.ndarray:
     """The cost (rows, columns) >= 0 of each cell's nearness to people, at its centre.
 
     people (K, 2) [m] and velocity (K, 2) [m/s], world frame. With (x, y) the centre seen from a person, x along the

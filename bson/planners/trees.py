@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from bson.planners.grid import NoPath, line_costs
+from bson.planners.grid import Grid, NoPath, line_costs
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,16 @@ class Rrt:
     known: a path (N, 2) whose free beginning is the tree's first branch, or None.
     """
 
-    def __init__(self, grid, rate, start, goal, rng, config, known=None):
+    def __init__(
+        self,
+        grid: Grid,
+        rate: np.ndarray | None,
+        start: np.ndarray,
+        goal: np.ndarray,
+        rng: np.random.Generator,
+        config: Any,
+        known: np.ndarray | None = None,
+    ):
         self.grid, self.rate, self.goal, self.rng, self.config = grid, rate, goal, rng, config
         self.step = config.step / grid.resolution
         row, column = np.floor(start[::-1]).astype(int)
@@ -85,7 +95,7 @@ class Rrt:
                 break
             node = self.add(point, node, cost)
 
-    def branch(self, start, path):
+    def branch(self, start: np.ndarray, path: np.ndarray) -> np.ndarray:
         """Points (M, 2) from `start` (2,), left out, along `path` (N, 2) at most `step` apart, without the goal."""
         corners = np.vstack([start, path])
         parts = np.ceil(np.hypot(*np.diff(corners, axis=0).T) / self.step).astype(int)  # 0 of a leg without length
@@ -97,7 +107,7 @@ class Rrt:
         points = np.concatenate([np.zeros((0, 2)), *legs])
         return points[:-1] if len(points) and np.allclose(points[-1], self.goal) else points
 
-    def path(self):
+    def path(self) -> np.ndarray:
         """The cheapest path (N, 2) found. Raises NoPath."""
         for drawn in range(self.config.samples):
             if self.at_goal and drawn >= self.enough():
@@ -116,42 +126,44 @@ class Rrt:
             node = self.parents[node]
         return np.concatenate([self.points[nodes[::-1]], self.goal[None]])
 
-    def enough(self):
+    def enough(self) -> int:
         """How many samples to draw even where a path was found."""
         return 0
 
-    def sample(self):
+    def sample(self) -> np.ndarray:
         """A point (2,) of the free space that the start is in, or the goal."""
         bias, which, *offset = self.rng.random(4)
         if not self.at_goal and bias < self.config.goal_bias:
             return self.goal
         return self.free[int(which * len(self.free))] + offset
 
-    def squared_distances(self, point):
+    def squared_distances(self, point: np.ndarray) -> np.ndarray:
         """From each node (n,) to `point` (2,)."""
         offset = self.points[: len(self.parents)] - point
         return np.einsum("ni,ni->n", offset, offset)
 
-    def line_costs(self, start, ends):
+    def line_costs(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """The costs of the lines from `start` (2,) to each of `ends` (n, 2); infinity where one is not free."""
         return line_costs(self.grid, self.rate, start, ends)
 
-    def straight(self, nearest, sample):
+    def straight(self, nearest: int, sample: np.ndarray) -> tuple[float, float]:
         """Direction [rad] and length of the straight extension from node `nearest` towards `sample` (2,)."""
         x, y = sample - self.points[nearest]
         return math.atan2(y, x), min(self.step, math.hypot(x, y))
 
-    def extend(self, nearest, sample):
+    def extend(self, nearest: int, sample: np.ndarray) -> tuple[np.ndarray, float] | None:
         """The end (2,) and the cost of an edge from node `nearest` towards `sample` (2,); None: it is blocked."""
         angle, length = self.straight(nearest, sample)
         end = self.points[nearest] + _polar(np.array([angle]), length)
         cost = self.line_costs(self.points[nearest], end)[0]
         return (end[0], cost) if 0 < cost < np.inf else None
 
-    def join(self, nearest, point, cost):
+    def join(self, nearest: int, point: np.ndarray, cost: float) -> None:
         """Adds the node `point` (2,) to which an edge of `cost` leads from node `nearest`."""
         self.add(point, nearest, cost)
 
-    def add(self, point, parent, cost):
+    def add(self, point: np.ndarray, parent: int | None, cost: float) -> int:
+        """Adds the node `point` (2,) below node `parent`, by an edge of `cost`; its number."""
         node = len(self.parents)
         self.points[node] = point
         self.parents.append(parent)
@@ -169,10 +181,12 @@ class Rrt:
 class RrtStar(Rrt):
     """RRT, but a new node takes the parent that makes it cheapest, and becomes the parent of whom it makes cheaper."""
 
-    def enough(self):
+    def enough(self) -> int:
+        """As Rrt.enough: its configuration's."""
         return self.config.enough
 
-    def join(self, nearest, point, cost):
+    def join(self, nearest: int, point: np.ndarray, cost: float) -> None:
+        """Adds the node `point` (2,) below the node near it that makes it cheapest; `nearest` is one, `cost` away."""
         is_near = self.squared_distances(point) <= self.radius() ** 2
         is_near[nearest] = True
         near = np.flatnonzero(is_near)
@@ -190,13 +204,13 @@ class RrtStar(Rrt):
                 self.children[node].append(other)
                 self.lower(other, change)
 
-    def radius(self):
+    def radius(self) -> float:
         """Karaman and Frazzoli's, for the nodes that there are, in cells."""
         count, config = len(self.parents) + 1, self.config
         least = math.sqrt(6.0 * len(self.free) / math.pi * math.log(count) / count)
         return min(config.radius_factor * least, config.max_radius / self.grid.resolution)
 
-    def lower(self, node, change):
+    def lower(self, node: int, change: float) -> None:
         """Adds `change` to the costs of `node` and all behind it."""
         behind = [node]
         for one in behind:
@@ -207,17 +221,28 @@ class RrtStar(Rrt):
 class CarrtStar(RrtStar):
     """RRT*, but the cross-entropy method chooses each extension."""
 
-    def __init__(self, grid, rate, start, goal, rng, config, known=None):
+    def __init__(
+        self,
+        grid: Grid,
+        rate: np.ndarray | None,
+        start: np.ndarray,
+        goal: np.ndarray,
+        rng: np.random.Generator,
+        config: Any,
+        known: np.ndarray | None = None,
+    ):
         self.noise = rng.spawn(1)[0]  # leaves the samples as RRT*'s
         super().__init__(grid, rate, start, goal, rng, config, known)
 
-    def extend(self, nearest, sample):
+    def extend(self, nearest: int, sample: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """As Rrt.extend, of the extensions that are drawn the best."""
         config, start = self.config, self.points[nearest]
         angle, length = self.straight(nearest, sample)
         if length == 0:
             return None
         mean, spread = np.array([0.0, length]), np.array([config.turn, length / 4])
-        best = np.inf, None, np.inf
+        best: tuple[np.ndarray, Any] | None = None
+        least = np.inf
         for _ in range(config.iterations + 1):
             turns, lengths = (mean + spread * self.noise.standard_normal((config.candidates, 2))).T
             turns[0], lengths[0] = mean  # the straight one first, so that no extension is worse than RRT*'s
@@ -229,8 +254,8 @@ class CarrtStar(RrtStar):
             order = order[scores[order] < np.inf]
             if not len(order):
                 continue
-            if scores[order[0]] < best[0]:
-                best = scores[order[0]], ends[order[0]], costs[order[0]]
+            if scores[order[0]] < least:
+                best, least = (ends[order[0]], costs[order[0]]), scores[order[0]]
             elites = np.stack([turns[order], lengths[order]], axis=-1)
             mean, spread = elites.mean(axis=0), elites.std(axis=0)
-        return best[1:] if best[0] < np.inf else None
+        return best

@@ -58,7 +58,7 @@ class BatchedWorld:
     Raises ValueError for what doesn't fit together, UsageError without MJX-Warp.
     """
 
-    def __init__(self, config: TaskConfig, mounted=(), nworld=1, engine=None):
+    def __init__(self, config: TaskConfig, mounted: Any = (), nworld: int = 1, engine: Any = None):
         self.config, self.sensors, self.nworld = config, tuple(mounted), nworld
         spec = build_spec(config, self.sensors, hidden=True)
         self.engine = WarpEngine(spec, config.people, engine)
@@ -75,7 +75,7 @@ class BatchedWorld:
     def _k(self):
         return self.config.people
 
-    def begin(self, drawn, key=None):
+    def begin(self, drawn: Any, key: Any = None) -> Any:
         """The State, not yet sensed, of the episode `drawn`. key: of noise; None: one that the episode's seed gives."""
         k, model = self._k, self.model
         qpos = jnp.concatenate([drawn.people.ravel(), drawn.robot, jnp.asarray(model.qpos0[3 * k + 7 :], jnp.float32)])
@@ -102,7 +102,7 @@ class BatchedWorld:
             readings,
         )
 
-    def advance(self, state, action):
+    def advance(self, state: Any, action: Any) -> Any:
         """The State, not yet sensed, after a control step under `action` (2,) in [-1, 1]."""
         command = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * self._limit
         wheels = robot.wheel_speeds(command, self.robot)
@@ -118,7 +118,7 @@ class BatchedWorld:
         failed = state._replace(motion=still, fault=jnp.bool_(True), overflow=after.overflow)
         return _chosen(sound, after, failed)
 
-    def headings(self, state):
+    def headings(self, state: Any) -> Any:
         """Where the people head now: the next waypoint, or the goal (K, 2) [m]."""
         last = jnp.maximum(state.drawn.turns - 1, 1)
         index = state.stage % (2 * last)  # to and fro
@@ -184,7 +184,7 @@ class BatchedWorld:
         counts = jnp.stack([person | wall | obstacle, person, towards, obstacle, wall]).sum(axis=-1)
         return geometry.norm(way).sum(), counts.astype(jnp.int32)
 
-    def sense(self, state):
+    def sense(self, state: Any) -> Any:
         """`state` with poses, distances and sensor readings made current."""
         motion, drawn, k = state.motion, state.drawn, self._k
         body, speed = self._robot(motion.qpos), motion.qvel[3 * k : 3 * k + 6]

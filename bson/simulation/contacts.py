@@ -5,19 +5,20 @@ import numpy as np
 from bson import robot
 from bson.robot import RobotConfig
 from macid import geometry
+from macid.geometry import Array
 from macid.state import CONTACT_GAP, PHYSICS_STEP, RADIUS
 
 COUNTERS = ("collisions_person", "collisions_robot_on_person", "collisions_obstacle", "collisions_wall")
 APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
 
 
-def person_gaps(pose: np.ndarray, people: np.ndarray, config: RobotConfig) -> np.ndarray:
+def person_gaps(pose: Array, people: Array, config: RobotConfig) -> Array:
     """Surface gaps [m] from the robot's footprint at `pose` (..., 3) to people at `people` (..., K, 2): (..., K)."""
     box = robot.footprint(pose, config)[..., None, None, :]
     return geometry.point_box_distance(people, box)[..., 0] - RADIUS
 
 
-def touches_people(pose: np.ndarray, way: np.ndarray, people: np.ndarray, config: RobotConfig) -> tuple:
+def touches_people(pose: Array, way: Array, people: Array, config: RobotConfig) -> tuple[Array, Array]:
     """Whether the robot touches a person, and moves towards one that it touches at more than APPROACH: both (...).
 
     pose (..., 3) at the end of a physics step, way (..., 2) [m] driven in that step, people (..., K, 2); world frame.

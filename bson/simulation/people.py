@@ -7,7 +7,7 @@ boxes are filled up to the next of a few sizes, with people and boxes out of eve
 
 import copy
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 
 from bson.task import Spawn, TaskConfig, controller, stops, ways_checker
 from macid import contacts, layout
+from macid.layout import Layout
 from macid.state import GOAL_RADIUS, CrowdState, parking_place
 
 # Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No
@@ -36,7 +37,7 @@ def _box_rows(number):
     return next((rows for rows in BOXES if rows >= number), -(-number // _BOX_STEP) * _BOX_STEP)
 
 
-def find_ways(layout, router, people, places, goals):
+def find_ways(layout: Layout, router: Any, people: Any, places: np.ndarray, goals: np.ndarray) -> list[np.ndarray]:
     """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last.
 
     They lead along the person's route, if the map has routes, and around obstacles, if there is a router. Raises
@@ -49,7 +50,14 @@ def find_ways(layout, router, people, places, goals):
     return [np.concatenate([next(legs) for _ in way]) for way in ways]
 
 
-def next_goals(config, map_layout, router, who, places, rng):
+def next_goals(
+    config: TaskConfig,
+    map_layout: Layout,
+    router: Any,
+    who: Sequence[int] | np.ndarray,
+    places: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
     """Where the people `who` (N,) go once they are at their goals: for each of `places` (N, 2) a goal (N, 2) [m].
 
     Along a route it is back to the other end; elsewhere goals are drawn from the Generator `rng`. Raises

@@ -5,9 +5,12 @@ Depth is exact. Colours are those of the native engine's pictures to a few of 25
 camera, no shadow, the floor's tiles and the sky's gradient; highlights, fainter than that, are left out.
 """
 
+from typing import Any
+
 import numpy as np
 
 from bson.simulation import rays
+from macid.geometry import Array
 from macid.scene import OBSTACLE_RGBA, PERSON_RGBA, WALL_RGBA
 from macid.state import HEIGHT, RADIUS
 
@@ -22,7 +25,7 @@ _SKY = np.array([[0.75, 0.83, 0.92], [0.96, 0.97, 0.98]], np.float32)  # above, 
 _SKY_SLOPE = 1.16  # at the horizon, as MuJoCo's gradient has it
 
 
-def normals_of_person(point, centre):
+def normals_of_person(point: Array, centre: Array) -> Array:
     """Normals (..., 3) of the cylinders at `centre` (..., 2) where `point` (..., 3) lies on them."""
     xp = point.__array_namespace__()
     outwards = (point[..., :2] - centre) / RADIUS
@@ -30,7 +33,7 @@ def normals_of_person(point, centre):
     return xp.where(point[..., 2:] >= HEIGHT - 1e-4, xp.asarray([0.0, 0.0, 1.0], dtype=point.dtype), side)
 
 
-def normals_of_box(point, box, height):
+def normals_of_box(point: Array, box: Array, height: Array) -> Array:
     """Normals (..., 3) of the boxes `box` (..., 5), of `height` (...), where `point` (..., 3) lies on them."""
     xp = point.__array_namespace__()
     cos, sin = xp.cos(box[..., 4]), xp.sin(box[..., 4])
@@ -44,7 +47,7 @@ def normals_of_box(point, box, height):
     return xp.stack([cos * along - sin * across, sin * along + cos * across, xp.where(face == 2, one, zero)], axis=-1)
 
 
-def floor_colour(point, spread):
+def floor_colour(point: Array, spread: Array) -> Array:
     """The floor's colour (..., 3) at `point` (..., 3), of a pixel that spans `spread` (...) [m] of it."""
     xp = point.__array_namespace__()
     cell = xp.floor(point[..., 0] / _TILE) + xp.floor(point[..., 1] / _TILE) + 1
@@ -59,7 +62,7 @@ def floor_colour(point, spread):
     return tiles + (_MARK - tiles) * marked[..., None]
 
 
-def sky_colour(direction):
+def sky_colour(direction: Array) -> Array:
     """The sky's colour (..., 3) along `direction` (..., 3)."""
     xp = direction.__array_namespace__()
     length = xp.sqrt((direction**2).sum(axis=-1))
@@ -68,7 +71,7 @@ def sky_colour(direction):
     return _SKY[0] + (_SKY[1] - _SKY[0]) * share[..., None]
 
 
-def look(origin, direction, ahead, solids, pixel):
+def look(origin: Array, direction: Array, ahead: Array, solids: Any, pixel: float) -> tuple[Array, Array]:
     """What a camera at `origin` (3,) sees along `direction` (H, W, 3), each as long as 1 m along its axis `ahead` (3,):
     colours (H, W, 3) uint8, and distances (H, W) in lengths of `direction`, that is along the axis [m].
 

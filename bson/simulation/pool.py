@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from bson import robot
 from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.people import find_ways, next_goals
-from bson.task import spawn
+from bson.task import TaskConfig, spawn
 from macid import layout
 from macid.routing import occupancy_grid
 
@@ -67,7 +68,7 @@ def _itineraries(config, drawn, rng):
     return ways, turns
 
 
-def draw(config, seed, with_map=False):
+def draw(config: TaskConfig, seed: int, with_map: bool = False) -> Drawn:
     """The episode `seed` of `config`: Drawn, of NumPy arrays. Raises NoFreeSpace."""
     rng = np.random.default_rng(int(seed))
     drawn = spawn(config, rng)
@@ -89,7 +90,7 @@ def draw(config, seed, with_map=False):
     )
 
 
-def draw_all(config, seeds, with_map=False):
+def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False) -> Drawn:
     """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
     return Drawn(*map(np.stack, zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)))
 
@@ -119,7 +120,7 @@ class _Worker:
         self._answered.close()
 
 
-def serve():
+def serve() -> None:
     """What a worker process does: draws what it is asked for on its standard input until that ends."""
     output, sys.stdout = sys.stdout.buffer, sys.stderr
     while True:
@@ -144,7 +145,7 @@ class Pool:
     draw; 0: a thread.
     """
 
-    def __init__(self, config, size, seed=0, with_map=False, workers=0):
+    def __init__(self, config: TaskConfig, size: int, seed: int = 0, with_map: bool = False, workers: int = 0):
         import jax
 
         self.size, self.workers = size, workers
@@ -177,14 +178,14 @@ class Pool:
             seeds = range(self._next_seed, self._next_seed + self._block)
             self._next_seed += self._block
             number = self._next_seed // self._block
-            task = self._workers[number % len(self._workers)] if self._workers else draw_all
+            task: Callable[..., Any] = self._workers[number % len(self._workers)] if self._workers else draw_all
             self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map))
 
-    def used(self, number):
+    def used(self, number: int) -> None:
         """Says that `number` more episodes have been begun."""
         self.begun += int(number)
 
-    def ensure(self, number):
+    def ensure(self, number: int) -> None:
         """Sees to it that at least `number` episodes are in the ring that nobody has begun yet. Raises NoFreeSpace."""
         if number > self.size - self._block + 1:
             raise ValueError(f"A pool of {self.size} episodes can't have {number} ready: give it a larger size.")
@@ -200,7 +201,7 @@ class Pool:
             self.waited += time.perf_counter() - begin
         self._ask()
 
-    def close(self):
+    def close(self) -> None:
         """Ends the drawing; closing twice does no harm."""
         self._threads.shutdown(wait=True, cancel_futures=True)
         for worker in self._workers:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from macid.geometry import Array
 from macid.scene import OUTER_WALL_HEIGHT, WALL_HEIGHT
 from macid.state import HEIGHT, RADIUS
 
@@ -23,12 +24,12 @@ class Solids(NamedTuple):
     half: float  #: half a side of the floor [m]
 
 
-def box_heights(number):
+def box_heights(number: int) -> np.ndarray:
     """Heights (number,) of a world's boxes [m]."""
     return np.where(np.arange(number) < 4, OUTER_WALL_HEIGHT, WALL_HEIGHT).astype(np.float32)
 
 
-def slab(origin, direction, low, high):
+def slab(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Between which distances rays are within low <= x <= high along an axis: (enter, leave)."""
     xp = direction.__array_namespace__()
     safe = xp.where(xp.abs(direction) < 1e-9, xp.full_like(direction, 1e-9), direction)
@@ -42,7 +43,7 @@ def _met(enter, leave):
     return xp.where((enter <= leave) & (enter > 0), enter, xp.full_like(enter, NOTHING))
 
 
-def to_people(origin, direction, people):
+def to_people(origin: Array, direction: Array, people: Array) -> Array:
     """Distances (..., K) [m] from `origin` (3,) along `direction` (..., 3) to the people at `people` (K, 2)."""
     xp = direction.__array_namespace__()
     x, y, z = direction[..., 0, None], direction[..., 1, None], direction[..., 2, None]
@@ -58,7 +59,7 @@ def to_people(origin, direction, people):
     return xp.where(inside >= 0, distance, xp.full_like(distance, NOTHING))
 
 
-def to_boxes(origin, direction, boxes):
+def to_boxes(origin: Array, direction: Array, boxes: Array) -> Array:
     """Distances (..., B) [m] from `origin` (3,) along `direction` (..., 3) to `boxes` (B, 5)."""
     xp = direction.__array_namespace__()
     cos, sin = xp.cos(boxes[:, 4]), xp.sin(boxes[:, 4])
@@ -71,7 +72,7 @@ def to_boxes(origin, direction, boxes):
     return _met(enter, xp.minimum(xp.minimum(ahead[1], aside[1]), up[1]))
 
 
-def to_floor(origin, direction, half):
+def to_floor(origin: Array, direction: Array, half: Any) -> Array:
     """Distances (...) [m] from `origin` (3,) along `direction` (..., 3) to the floor, a square of half a side
     `half`."""
     xp = direction.__array_namespace__()
@@ -82,7 +83,7 @@ def to_floor(origin, direction, half):
     return xp.where(hit, distance, xp.full_like(distance, NOTHING))
 
 
-def first(origin, direction, solids):
+def first(origin: Array, direction: Array, solids: Any) -> Array:
     """Distances (...) [m] from `origin` (3,) along `direction` (..., 3) to the first of the Solids; NOTHING for a miss.
 
     Distances are in lengths of `direction`.

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from macid import drawing
 
 
-def draw_plainly(quality) -> None:
+def draw_plainly(quality: Any) -> None:
     """Sets the visual quality of an MjModel or MjSpec to the cameras': no shadows, and a pixel is the ray through its
     middle, so that its depth is that of one surface: no samples beside it."""
     quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
@@ -26,6 +27,7 @@ class Renderer(drawing.Offscreen):
         model, self._nworld = copy.copy(model), nworld
         draw_plainly(model.vis.quality)
         super().__init__(model, model.cam_resolution.max(axis=0), extra=100)
+        assert self._context is not None  # until `close`
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._camera = mujoco.MjvCamera()

@@ -30,7 +30,7 @@ class Senses:
         """Goes on with the control period `period` [s]. Raises ValueError for a sensor whose rate does not fit."""
         self._every = [sensor.every(period) for sensor in self._sensors]  # control steps
 
-    def bind(self, world) -> None:
+    def bind(self, world: Any) -> None:
         """Gets the sensors ready to read `world`. Raises what keeps one from working."""
         self._readers = [sensor.bind(world) for sensor in self._sensors]
 
@@ -39,7 +39,7 @@ class Senses:
         for sensor, generators in zip(self._sensors, self._noise, strict=True):
             generators[index] = sensor.generator(seed) if sensor.noise else None
 
-    def read(self, world, ids: np.ndarray, fail: Callable, draws: Callable) -> None:
+    def read(self, world: Any, ids: np.ndarray, fail: Callable, draws: Callable) -> None:
         """Takes the readings of the worlds `ids` that are due: all of them, or none where it raises.
 
         fail(index, what): called for a reading that is not finite, which is not taken; draws(rng): before noise comes

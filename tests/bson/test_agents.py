@@ -63,7 +63,13 @@ def test_the_goal_agent_turns_towards_the_goal():
 
 def test_stop_and_go_stands_while_anything_is_near_ahead():
     agent, angles = load_agent("stop-and-go")(), Lidar2D().angles
-    for angle, distance, stands in ((0, 1.5, True), (-29, 1.5, True), (29, 1.5, True), (0, 1.7, False), (40, 0.5, False)):
+    for angle, distance, stands in (
+        (0, 1.5, True),
+        (-29, 1.5, True),
+        (29, 1.5, True),
+        (0, 1.7, False),
+        (40, 0.5, False),
+    ):
         lidar = np.full(720, 30.0, np.float32)
         lidar[np.abs(angles - np.radians(angle)).argmin()] = distance
         assert (agent({**OBSERVATION, "lidar": lidar}) == 0).all() == stands
@@ -110,7 +116,7 @@ def test_an_agent_that_cannot_be_had_is_told(name, told):
 @pytest.mark.parametrize("answer", [[0.0], [np.nan, 0.0], "left", None, np.zeros((1, 2)), [0.0, np.inf]])
 def test_an_answer_that_is_no_action_is_told(answer):
     with pytest.raises(AgentError, match="an action is two"):
-        act(lambda observation: answer, OBSERVATION, "mine")
+        act(lambda observation, answer=answer: answer, OBSERVATION, "mine")
 
 
 def test_an_agents_own_failure_keeps_its_cause():
@@ -161,7 +167,7 @@ class Guarded:
 )
 def test_an_answer_that_numpy_cannot_read_is_one_line_with_the_reason(answer, told):
     with pytest.raises(AgentError) as caught:
-        act(lambda observation: answer, OBSERVATION, "mine")
+        act(lambda observation, answer=answer: answer, OBSERVATION, "mine")
     text = str(caught.value)
     assert "'mine' returned" in text and told in text and "an action is two numbers" in text and "\n" not in text
 
@@ -170,7 +176,7 @@ def test_a_torch_tensor_is_detached():
     torch = pytest.importorskip("torch")
     weights = torch.tensor([0.25, -0.5], requires_grad=True)
     for answer in (weights * 2, [weights[0] * 2, weights[1] * 2], (weights * 2).detach()):
-        assert act(lambda observation: answer, OBSERVATION, "mine").tolist() == [0.5, -1.0]
+        assert act(lambda observation, answer=answer: answer, OBSERVATION, "mine").tolist() == [0.5, -1.0]
 
 
 FAILING = """
@@ -217,10 +223,14 @@ def test_an_agents_failure_is_one_line_with_its_name_file_line_and_what_it_raise
     file = tmp_path / "mine.py"
     file.write_text(FAILING)
     name = f"{file}:{attribute}"
-    with pytest.raises(AgentError) as caught:
+
+    def drive():
         agent = load_agent(name)()
         reset_agent(agent, 0, name)
         act(agent, OBSERVATION, name)
+
+    with pytest.raises(AgentError) as caught:
+        drive()
     text = str(caught.value)
     assert f"Agent '{name}'" in text and told.format(file=file) in text and "\n" not in text
 

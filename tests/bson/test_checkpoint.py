@@ -97,7 +97,11 @@ def test_a_checkpoint_that_is_another_trainings_is_refused_before_anything_chang
         (found, {**noted, "numpy": {**noted["numpy"], "pos": 10**6}}, "numpy.pos"),
         (found, {**noted, "steps": -1}, "steps"),
         (found, {**noted, "keeper": 3}, "keeper"),
-        (found, {**noted, "keeper": {**noted["keeper"], "best": {"output": "clip", "steps": 1, "validation": {}}}}, "no SNS"),
+        (
+            found,
+            {**noted, "keeper": {**noted["keeper"], "best": {"output": "clip", "steps": 1, "validation": {}}}},
+            "no SNS",
+        ),
         (found, {**noted, "rates": {}}, "other optimisers"),
         (found, {**noted, "replay": None if noted["replay"] else {"pos": 1, "full": False}}, "replay buffer"),
         (found, [noted], "training.json"),

@@ -52,9 +52,10 @@ def cells(*collisions):
         (cells([1, 9, 4]), 1, [(0, 9, "the worst episode")]),
         (cells([1, 9, 4]), 5, [(0, 9, "the worst episode"), (0, 4, ""), (0, 1, "the best episode")]),
         (
-            cells([0, 40], [30, 20], [2, 1], [3, 5]),  # the second cell is the worst, though the first has a worse episode
+            cells([0, 40], [30, 20], [2, 1], [3, 5]),  # the second cell is the worst; the first has the worst episode
             2,
-            [(1, 30, "the worst cell's worst episode"), (0, 40, "its worst episode"), (2, 1, "the best cell's best episode")],
+            [(1, 30, "the worst cell's worst episode"), (0, 40, "its worst episode"),
+            (2, 1, "the best cell's best episode")],
         ),
         (cells([5], [1], []), 3, [(0, 5, "the worst cell's worst episode"), (1, 1, "its worst episode")]),
     ],

@@ -34,17 +34,25 @@ FILES = {
     "page.md": "no place for a leaderboard\n",
 }
 BROKEN = [
-    "", " ", "-", "nan", "inf", "-inf", "1e400", "-1e400", "1e308", "-1", "0", "0.03", str(2**62), str(2**63), str(-(2**63)),
-    "9" * 5000, "x" * 5000, "/".join(["y" * 300] * 3), "\udcff", "a\udc80b.webm", "a\0b", "a\nb", "é", "None", "True", "[", "[]",
-    "{[]: 1}", "(" * 3000, "-" * 5000 + "1", "[" * 150, "1j", "b'x'", "{1, 2}", "...", "..", ".", "/dev/null", "/proc/self/mem",
-    "missing.py", "missing.npz", "missing.toml", "raises.py", "leaves.py", "syntax.py", "late.py", "lists.py", "picky.py",
-    "picky.py:nobody", "junk.npz", "junk.json", "junk.toml", "folder", ".near:agent", "a/b:c", ":", "os:path", "sys:exit",
+    "", " ", "-", "nan", "inf", "-inf", "1e400", "-1e400", "1e308", "-1", "0", "0.03", str(2**62), str(2**63),
+    str(-(2**63)),
+    "9" * 5000, "x" * 5000, "/".join(["y" * 300] * 3), "\udcff", "a\udc80b.webm", "a\0b", "a\nb", "é", "None", "True",
+    "[", "[]",
+    "{[]: 1}", "(" * 3000, "-" * 5000 + "1", "[" * 150, "1j", "b'x'", "{1, 2}", "...", "..", ".", "/dev/null",
+    "/proc/self/mem",
+    "missing.py", "missing.npz", "missing.toml", "raises.py", "leaves.py", "syntax.py", "late.py", "lists.py",
+    "picky.py",
+    "picky.py:nobody", "junk.npz", "junk.json", "junk.toml", "folder", ".near:agent", "a/b:c", ":", "os:path",
+    "sys:exit",
     "raises:agent", "leaves:agent", "math:sqrt", "file/below", "file",
 ]  # fmt: skip
-KEYS = ["num_pedestrians", "pedestrian_density", "obstacle_density", "pedestrian_model", "lcf", "lcf_each", "map_size", "map",
-        "control_period", "pedestrian_period", "horizon", "goal_distance", "reward", "robot", "self", "config", "changes",
+KEYS = ["num_pedestrians", "pedestrian_density", "obstacle_density", "pedestrian_model", "lcf", "lcf_each", "map_size",
+        "map",
+        "control_period", "pedestrian_period", "horizon", "goal_distance", "reward", "robot", "self", "config",
+        "changes",
         "obj", "kwargs", "", "__class__", "people"]  # fmt: skip
-VALUES = ["3", "2", "0.1", "0.0", "orca", "(1, 2)", "{'macid': 1, 'orca': 2}", "{'orca': nan}", "{1: 2}", "{'goal': 1.0}",
+VALUES = ["3", "2", "0.1", "0.0", "orca", "(1, 2)", "{'macid': 1, 'orca': 2}", "{'orca': nan}", "{1: 2}",
+        "{'goal': 1.0}",
           "[1, 'a']", "1e19", "-3", "20.0", "{'max_speed': 1.0}", "{'max_speed': 1e300}", "{'collision': -1e400}",
           "(6, 12)", "(2, 1)", "hall", "diffbot", "\udcff", "[0.5, 0.5]", "[" + "1," * 3000 + "]"]  # fmt: skip
 
@@ -60,7 +68,8 @@ BSON = {
                "--out": ["out", "new/out"]},
     "compare": {"--out": ["out"]},
     "leaderboard": {"--readme": ["page.md"]},
-    "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"], "--out": ["runs"],
+    "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"],
+        "--out": ["runs"],
               "--resume": None, "--tensorboard": None},
     "bench": {"--pedestrians": ["2"], "--worlds": ["1"], "--sensors": ["none"], "--seconds": ["0.1"],
               "--pedestrian-model": ["orca"], "--out": ["b.json"], "--train": ["ppo"]},
@@ -69,15 +78,19 @@ BSON = {
 MACID = {
     "evaluate": {
         "--pedestrian": ["orca", "macid"], "--levels": ["1", "v2"], "--episodes": ["1", "3"], "--seed": ["0", "5"],
-        "--period": ["0.1", "20"], "--lcf": ["0"], "--bins": None, "--engine": ["native"], "--out": ["a.json", "new/a.json"],
+        "--period": ["0.1", "20"], "--lcf": ["0"], "--bins": None, "--engine": ["native"], "--out": ["a.json",
+            "new/a.json"],
     },
     "watch": {"--pedestrian": ["orca"], "--level": ["1"], "--seed": ["0"], "--seconds": ["1"], "--period": ["0.1"],
               "--speed": ["2"], "--follow": ["3"], "--at": ["0"], "--scale": ["0.5"], "--out": ["a.gif"]},
-    "export": {"--level": ["1"], "--map": ["hall"], "--people": ["3"], "--seed": ["0"], "--period": ["0.1"], "--lcf": ["0"],
+    "export": {"--level": ["1"], "--map": ["hall"], "--people": ["3"], "--seed": ["0"], "--period": ["0.1"],
+        "--lcf": ["0"],
                "--out": ["out", "new/out"]},
     "train": {"--method": ["macid", "ipo"], "--engine": ["native"], "--level": ["1"], "--seed": ["0"], "--seeds": ["2"],
-              "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"], "--out": ["runs"],
-              "--resume": None, "--tensorboard": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"]},
+              "--worlds": ["1"], "--period": ["0.1"], "--agent-steps": ["1e4"], "--preset": ["paper"],
+                  "--out": ["runs"],
+              "--resume": None, "--tensorboard": None, "--executor": ["local"], "--ray-address": ["auto"],
+                  "--workers": ["2"]},
     "bench": {"--levels": ["1"], "--worlds": ["1"], "--seconds": ["0.1"], "--out": ["b.json"], "--preset": ["fast"]},
     "nothing": {},
 }  # fmt: skip
@@ -87,7 +100,8 @@ SETS = ["--set", "horizon=2", "--set", "map_size=20.0", "--set", "goal_distance=
 
 @st.composite
 def command_lines(draw, commands, program):
-    """A command with some of its flags, each with a valid or a broken value, and now and then something that is no flag."""
+    """A command with some of its flags, each with a valid or a broken value, and now and then something that is no
+    flag."""
     command = draw(st.sampled_from(sorted(commands)))
     words, flags = [command], commands[command]
     if program == "bson" and command in ("evaluate", "demo"):
@@ -98,7 +112,9 @@ def command_lines(draw, commands, program):
             value = draw(st.one_of(st.sampled_from(VALUES), st.sampled_from(BROKEN), st.text(max_size=5)))
             words += ["--set", f"{draw(st.sampled_from(KEYS))}={value}"]
     if command in ("compare", "leaderboard"):
-        words += draw(st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3))
+        words += draw(
+            st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3)
+        )
     if program == "macid" and command == "evaluate":
         words += ["--pedestrian", "orca"]
     if command == "watch":  # films and pictures take too long here: it is refused at the latest for that ending
@@ -109,7 +125,9 @@ def command_lines(draw, commands, program):
             count = draw(st.integers(1, 2)) if flag in ("--levels", "--worlds", "--lcf", "--sensors") else 1
             for _ in range(count):
                 good = draw(st.booleans())
-                words.append(draw(st.sampled_from(flags[flag]) if good else st.one_of(st.sampled_from(BROKEN), st.text())))
+                words.append(
+                    draw(st.sampled_from(flags[flag]) if good else st.one_of(st.sampled_from(BROKEN), st.text()))
+                )
     if draw(st.integers(0, 9)) == 0:
         words.insert(draw(st.integers(0, len(words))), draw(st.sampled_from(["--unknown", *BROKEN])))
     return words
@@ -204,7 +222,9 @@ def test_ten_thousand_command_lines_of_each_command(place, program, commands):
         codes.append(check(program, words, place))
 
     hold()
-    print(f"{program}: {len(codes)} command lines, {codes.count(0)} succeeded, {codes.count(2)} were refused in one line")
+    print(
+        f"{program}: {len(codes)} command lines, {codes.count(0)} succeeded, {codes.count(2)} were refused in one line"
+    )
 
 
 @pytest.mark.parametrize(

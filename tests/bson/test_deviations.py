@@ -27,7 +27,9 @@ def rows(package):
 
 
 def numbers(cell):
-    return [float(text.replace(",", "")) for text in re.findall(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e-\d+)?(?![\w])", cell)]
+    return [
+        float(text.replace(",", "")) for text in re.findall(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e-\d+)?(?![\w])", cell)
+    ]
 
 
 def test_pedestrians():
@@ -39,7 +41,10 @@ def test_pedestrians():
     rates = [(one.ppo.learning_rate, one.ppo.final_learning_rate) for one in (paper, fast)]
     assert row("learning rate") == ([rates[0][0]], [*rates[1]]) and rates[0][0] == rates[0][1]
     people = load_level(paper.level).pedestrians
-    assert row("an update follows") == ([paper.rollout, paper.nworld, people], [fast.rollout, fast.nworld, fast.episode])
+    assert row("an update follows") == (
+        [paper.rollout, paper.nworld, people],
+        [fast.rollout, fast.nworld, fast.episode],
+    )
     assert row("batch, epochs") == ([paper.ppo.batch, paper.ppo.epochs], [fast.ppo.batch, fast.ppo.epochs])
     assert row("lambda of GAE") == ([paper.ppo.lam], [fast.ppo.lam])
     assert row("rewards in values and GAE")[1] == [fast.ppo.reward_scale] and paper.ppo.reward_scale == 1

@@ -155,7 +155,9 @@ def test_without_egl_list_and_doctor_run_and_say_what_to_do(tmp_path):
 def test_where_a_backend_aborts_the_doctor_does_not():
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment |= {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "glfw"}
-    ran = subprocess.run([sys.executable, "-P", "-m", "bson.cli", "doctor"], env=environment, capture_output=True, text=True)
+    ran = subprocess.run(
+        [sys.executable, "-P", "-m", "bson.cli", "doctor"], env=environment, capture_output=True, text=True
+    )
     assert ran.returncode == 0
     lines = {line.split()[1]: line.split()[0] for line in ran.stdout.splitlines()}
     assert lines["pictures"] == lines["cameras"] == "without"

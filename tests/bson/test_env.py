@@ -6,7 +6,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import bson  # noqa: F401  (registers the environments)
 from bson import ENVIRONMENTS
 from bson.env import BsonEnv, BsonVectorEnv
 from bson.metrics import GAMMA
@@ -33,9 +32,9 @@ def test_gymnasium_finds_no_fault(each):
 
 def test_a_vector_of_it_begins_with_its_own_observation(each):
     many = gymnasium.make_vec(each.spec.id, num_envs=2, **SMALL)
-    observations, infos = many.reset(seed=4)
+    observations, _ = many.reset(seed=4)
     assert many.observation_space.contains(observations)
-    observation, info = each.reset(seed=5)
+    observation, _ = each.reset(seed=5)
     assert same(observation, {key: values[1] for key, values in observations.items()})
     observations, *_ = many.step(many.action_space.sample())
     assert many.observation_space.contains(observations)
@@ -71,7 +70,7 @@ def test_observations_are_in_their_space_through_a_whole_episode_with_collisions
     done = False
     while not done:
         assert env.observation_space.contains(observation)
-        observation, reward, terminated, truncated, info = env.step([1.0, 0.6 * env.action_space.sample()[1]])
+        observation, _, terminated, truncated, info = env.step([1.0, 0.6 * env.action_space.sample()[1]])
         done = terminated or truncated
     assert info["collisions"] > 0
 
@@ -135,7 +134,7 @@ def test_reward_is_eq_5():
     _, before = env.reset(seed=1)
     total = 0.0
     while True:
-        observation, reward, terminated, truncated, info = env.step(np.array([0.8, 0.0]))
+        _, reward, terminated, truncated, info = env.step(np.array([0.8, 0.0]))
         expected = before["distance"] - info["distance"] + 2.0 * terminated
         assert reward == pytest.approx(expected, abs=1e-9)
         before, total = info, total + reward
@@ -195,7 +194,7 @@ def test_options_hold_through_a_vector_environments_own_resets():
     env.reset(seed=0, options={"obstacle_density": 1.0, "horizon": 2})
     walls = env.unwrapped.world.boxes.shape[1]
     for _ in range(7):
-        *_, truncated, _ = env.step(np.zeros((2, 2)))
+        env.step(np.zeros((2, 2)))
     assert env.unwrapped.world.boxes.shape[1] == walls > 4
     env.reset(seed=0)
     assert env.unwrapped.world.boxes.shape[1] == 4
@@ -208,7 +207,7 @@ def test_next_step_and_same_step_autoreset_begin_the_same_episodes():
         env.reset(seed=0)
         firsts = []
         for _ in range(5):
-            observation, reward, _, truncated, info = env.step(np.full((2, 2), 0.3))
+            observation, _, _, truncated, info = env.step(np.full((2, 2), 0.3))
             firsts.append((observation, truncated.copy(), info))
         results[mode] = firsts
     same_step, next_step = results[AutoresetMode.SAME_STEP], results[AutoresetMode.NEXT_STEP]
@@ -226,7 +225,7 @@ def test_disabled_autoreset_waits_for_a_masked_reset():
     env.step(np.zeros((2, 2)))
     with pytest.raises(ValueError, match="reset_mask"):
         env.step(np.zeros((2, 2)))
-    observation, info = env.reset(options={"reset_mask": np.array([True, False])})
+    _, info = env.reset(options={"reset_mask": np.array([True, False])})
     assert info["time"].tolist() == [0.0, 0.2]
     with pytest.raises(ValueError, match="2 booleans"):
         env.reset(options={"reset_mask": np.array([True])})
@@ -256,7 +255,11 @@ def test_a_bad_action_is_told(action):
 
 @pytest.mark.parametrize(
     ("kwargs", "named"),
-    [({"track": "Locl"}, "Choose one of local, global"), ({"sensor": "sonar"}, "Choose one of lidar2d, "), ({"render_mode": "ansi"}, "rgb_array")],
+    [
+        ({"track": "Locl"}, "Choose one of local, global"),
+        ({"sensor": "sonar"}, "Choose one of lidar2d, "),
+        ({"render_mode": "ansi"}, "rgb_array"),
+    ],
 )
 def test_a_wrong_argument_is_told(kwargs, named):
     with pytest.raises(ValueError, match=named):

@@ -1,6 +1,7 @@
 import dataclasses
 import html
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def test_the_evaluation_and_a_plain_loop_give_the_same_episode(episodes):
 
 def test_a_class_gets_an_object_a_world_and_is_reset_with_each_seed():
     class Noted:
-        seeds = []
+        seeds: ClassVar[list[int]] = []
 
         def reset(self, seed):
             self.seeds.append(seed)

@@ -82,7 +82,7 @@ def test_people_robot_and_goal_are_where_the_map_says(model):
         assert goal[1] > 1.5 * goal[0] and goal[1] > 1.5 * goal[2]
         yellow = patch(picture, camera.map_pixel(episode, episode.pose[20, :2]), radius=2)
         assert yellow[0] > 180 and yellow[1] > 130 and yellow[2] < 100
-        east, north = camera.map_pixel(episode, START + [[1.0, 0.0], [0.0, 1.0]]) - camera.map_pixel(episode, START)
+        east, north = camera.map_pixel(episode, START + np.eye(2)) - camera.map_pixel(episode, START)
         assert east[0] > 0 == east[1] and north[1] < 0 == north[0]
     assert picture.shape == (camera.size[1], camera.size[0], 3) and picture.dtype == np.uint8
     assert np.array_equal(model.geom_rgba, before), "The world's model is not the film's to change."

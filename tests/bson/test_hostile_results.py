@@ -1,5 +1,5 @@
-"""Whatever lies in a results.json, `bson compare` and `bson leaderboard` end in success or in one line; and so does an agent's
-policy file."""
+"""Whatever lies in a results.json, `bson compare` and `bson leaderboard` end in success or in one line; and so does an
+agent's policy file."""
 
 import json
 
@@ -37,7 +37,14 @@ GOOD = {
         for each in GRADES
     ],
     "episodes": [
-        {"seed": seed, "cell": each["people"], **VALUES, "SNS": 10.0 * seed, "delay": None, "people": {"delay": [0.1, None]}}
+        {
+            "seed": seed,
+            "cell": each["people"],
+            **VALUES,
+            "SNS": 10.0 * seed,
+            "delay": None,
+            "people": {"delay": [0.1, None]},
+        }
         for each in GRADES
         for seed in (1, 2)
     ],
@@ -58,7 +65,8 @@ def one_line(error, printable=False):
 
 
 def ends_well(folder, content):
-    """Reads a results.json, compares it and ranks it with a good one: what was done. What is refused is told of in a line."""
+    """Reads a results.json, compares it and ranks it with a good one: what was done. What is refused is told of in a
+    line."""
     good, theirs = folder / "good.json", folder / "theirs.json"
     if not good.exists():
         good.write_text(json.dumps(GOOD))
@@ -66,8 +74,9 @@ def ends_well(folder, content):
     try:
         runs = [Results.load(good), Results.load(theirs)]
     except UsageError as error:
+        text = str(error)
         one_line(error, printable=True)
-        assert "theirs.json" in str(error)
+        assert "theirs.json" in text
         return "refused"
     done = "read"
     for order in (runs, runs[::-1]):
@@ -222,5 +231,6 @@ def test_an_agents_file_is_read_or_refused_in_one_line(tmp_path_factory, content
         agent.reset(0)
         assert np.abs(act(agent, SEEN, "robot.npz")).max() <= 1.0
     except (UsageError, AgentError) as error:
+        text = str(error)
         one_line(error, printable=True)
-        assert "robot" in str(error)
+        assert "robot" in text

@@ -3,10 +3,10 @@
 import pathlib
 import tempfile
 
+import hostile
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-import hostile
 from bson.robot import load_robot
 from bson.suites import load_suite, read_suite
 from macid import assets
@@ -94,7 +94,10 @@ def test_twenty_thousand_changed_files(kind):
         (("seeds = [1, 2, 3]", "seeds = [1, 1]"), "'seeds': no seed may stand twice"),
         (("seeds = [1, 2, 3]", "seeds = [-1]"), r"'seeds\[0\]': it must be a whole number of at least 0"),
         (('name = "mine"', "name = 3"), "'name': it must be a name of letters"),
-        (("horizon = 600", "horizon = 1e9"), "'config.horizon': it must be a whole number of at least 1 and of at most 1e.06, not 1000000000.0"),
+        (
+            ("horizon = 600", "horizon = 1e9"),
+            "'config.horizon': it must be a whole number of at least 1 and of at most 1e.06, not 1000000000.0",
+        ),
         (("horizon = 600", "horizont = 600"), "'config': unknown key 'horizont'. Choose among .*horizon"),
         (("num_pedestrians = 3", "num_pedestrians = [3]"), "'axes.people.few.num_pedestrians': it must be"),
         (('map = "hall"', 'map = "hal"'), "'axes.people.few, axes.where.hall': Unknown map 'hal'"),

@@ -4,27 +4,29 @@ import dataclasses
 import json
 import os
 
+import gymnasium
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-stable_baselines3 = pytest.importorskip("stable_baselines3")
-
-import gymnasium
 
 from bson.agents import Setting, learned
 from bson.env import BsonEnv
 from bson.features import FEATURES, Features
-from bson.learning import train as train_module
-from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.imitation import BcConfig, clone, select
-from bson.learning.train import PRESETS, TrainConfig, one_thread, train
-from bson.learning.tsallis import log_q
-from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from bson.tracks import make_track
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
+
+torch = pytest.importorskip("torch")
+stable_baselines3 = pytest.importorskip("stable_baselines3")
+train_module = pytest.importorskip("bson.learning.train")
+algorithms = pytest.importorskip("bson.learning.algorithms")
+imitation = pytest.importorskip("bson.learning.imitation")
+PpoConfig, SacConfig, export = algorithms.PpoConfig, algorithms.SacConfig, algorithms.export
+BcConfig, clone, select = imitation.BcConfig, imitation.clone, imitation.select
+PRESETS, TrainConfig = train_module.PRESETS, train_module.TrainConfig
+one_thread, train = train_module.one_thread, train_module.train
+log_q = pytest.importorskip("bson.learning.tsallis").log_q
+FeatureVecEnv = pytest.importorskip("bson.learning.vec_env").FeatureVecEnv
 
 torch.set_num_threads(1)  # the networks are too small for more
 
@@ -196,7 +198,10 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
     assert (torch.rand(3) == drawn[0]).all() and (np.random.random(3) == drawn[1]).all()
     assert restored.num_timesteps == model.num_timesteps == 128 and restored._n_updates == model._n_updates > 0
     assert fresh.curve == keeper.curve
-    kept = [np.concatenate([array.ravel() for layer in one.best.pop("layers") for array in layer]) for one in (keeper, fresh)]
+    kept = [
+        np.concatenate([array.ravel() for layer in one.best.pop("layers") for array in layer])
+        for one in (keeper, fresh)
+    ]
     assert (kept[0] == kept[1]).all() and fresh.best == keeper.best
     for before, after in zip(model.policy.parameters(), restored.policy.parameters(), strict=True):
         assert (before == after).all()
@@ -360,7 +365,8 @@ def test_a_wrong_setting_is_told(arguments, told):
 
 
 def test_the_papers_preset_is_the_papers():
-    """Secs. IV-C and VI-D: PPO as the pedestrians' but for a batch of 128 and 10 epochs; the others on (1024, 1024), q 1.2."""
+    """Secs. IV-C and VI-D: PPO as the pedestrians' but for a batch of 128 and 10 epochs; the others on (1024, 1024), q
+    1.2."""
     ppo, sac, tac, bc = (PRESETS["paper"][algo] for algo in ("ppo", "sac", "tac", "bc"))
     assert (ppo.hidden, ppo.gamma, ppo.lam, ppo.clip) == ((64, 64, 64), 0.999, 0.95, 0.2)
     assert (ppo.batch, ppo.epochs) == (128, 10)
@@ -387,11 +393,15 @@ def test_the_joint_tsallis_entropy_is_of_the_whole_actions_density():
 
 
 def test_training_leaves_torchs_threads_as_they_were():
-    torch.set_num_threads(2)
-    try:
-        with pytest.raises(KeyError), one_thread():
+    def fail():
+        with one_thread():
             assert torch.get_num_threads() == 1
             raise KeyError
+
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(KeyError):
+            fail()
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
@@ -403,9 +413,14 @@ def test_what_was_trained_on_another_robot_tells_so_and_sees_shares_of_its_speed
     factory = learned.load(str(folder / "policy.npz"))
     agent = factory(Setting.of(TaskConfig(robot="diffbot", control_period=0.2), make_track("local", "lidar2d")))
     assert agent.top == (1.0, 2.0)
-    with pytest.raises(ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"):
+    with pytest.raises(
+        ValueError, match=r"trained with control_period 0.2 s, robot diffbot, not with control_period 0.1"
+    ):
         factory(Setting.default())
     seen, _ = BsonEnv(**task).reset(seed=0)
     seen["velocity"] = np.array([0.5, 1.0], np.float32)
     worlds = FeatureVecEnv(1, seed=0, **task)
-    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [0.5, 0.5]
+    assert worlds._features.step([0], {name: value[None] for name, value in seen.items()})[0, 4:6].tolist() == [
+        0.5,
+        0.5,
+    ]

@@ -48,7 +48,7 @@ def dense(path, spacing):
     """Points along a path, `spacing` [m] apart or closer."""
     legs = [
         a + np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / spacing))[:, None] * (b - a)
-        for a, b in zip(path[:-1], path[1:], strict=True)
+        for a, b in itertools.pairwise(path)
     ]
     return np.concatenate(legs)
 

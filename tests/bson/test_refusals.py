@@ -1,8 +1,9 @@
-"""A command that is refused, for whatever reason, makes, changes and removes nothing: neither where its results were to be
-nor beside it."""
+"""A command that is refused, for whatever reason, makes, changes and removes nothing: neither where its results were to
+be nor beside it."""
 
 import contextlib
 import hashlib
+import itertools
 import json
 import os
 import pathlib
@@ -59,14 +60,16 @@ COMMANDS = {
     ]),
     "render": (["bson", "render", "--agent", "stop", *QUICK], "--out", "film.webm", SETTING),
     "export": (["bson", "export", *QUICK], "--out", "scene", [
-        *TASK, ["--track", "locl"], ["--sensor", "sonar"], ["--seed", "-1"], ["--cell", "frontal"], ["--suite", "scenarios"],
+        *TASK, ["--track", "locl"], ["--sensor", "sonar"], ["--seed", "-1"], ["--cell", "frontal"], ["--suite",
+        "scenarios"],
     ]),
     "bench": (["bson", "bench", "--seconds", "0.01"], "--out", "bench.json", [
         ["--pedestrian-model", "nobody"], ["--worlds", "0"], ["--seconds", "0"], ["--pedestrians", "-1"],
         ["--train", "ppo", "--sensors", "lidar2d"],
     ]),
     "train": (["bson", "train", "--steps", "64"], "--out", "runs", [
-        *TASK, ["--algo", "dqn"], ["--algo", "bc", "--set", "robot=diffbot"], ["--steps", "0"], ["--worlds", "0"], ["--seed", "-1"],
+        *TASK, ["--algo", "dqn"], ["--algo", "bc", "--set", "robot=diffbot"], ["--steps", "0"], ["--worlds", "0"],
+        ["--seed", "-1"],
     ]),
     "macid evaluate": (["macid", "evaluate", "--pedestrian", "orca", "--levels", "1"], "--out", "rows.json", [
         *LEVEL, *CROWD, ["--episodes", "0"], ["--bins", "--lcf", "0", "1"], ["--engine", "warp"],
@@ -75,7 +78,8 @@ COMMANDS = {
         *CROWD, ["--level", "9"], ["--seconds", "0"], ["--follow", "999"], ["--scale", "9"], ["--at", "1"],
     ]),
     "macid export": (["macid", "export"], "--out", "scene", [
-        ["--level", "9"], ["--map", "nowhere"], ["--level", "1", "--map", "hall"], ["--people", "0"], ["--lcf", "1", "0"],
+        ["--level", "9"], ["--map", "nowhere"], ["--level", "1", "--map", "hall"], ["--people", "0"], ["--lcf", "1",
+        "0"],
     ]),
     "macid train": (["macid", "train", "--level", "1", "--agent-steps", "1"], "--out", "runs", [
         ["--method", "nothing"], ["--level", "9"], ["--level", "nowhere.toml"], ["--period", "0.03"], ["--seeds", "0"],
@@ -86,7 +90,15 @@ COMMANDS = {
 }  # fmt: skip
 FOLDERS = {"results", "bson-demo", "comparison", "scene", "runs"}
 # What stands in the way of results of any kind: names below the folder that the command runs in.
-WRONG_PLACES = ["file/below", "circle/below", "dangling/below", "fifo/below", "/dev/null/below", "x" * 300, "new/" + "x" * 300]
+WRONG_PLACES = [
+    "file/below",
+    "circle/below",
+    "dangling/below",
+    "fifo/below",
+    "/dev/null/below",
+    "x" * 300,
+    "new/" + "x" * 300,
+]
 WRONG_FOLDERS = ["file", "fifo", "to-device", "dangling"]
 WRONG_FILES = ["folder", "fifo", "to-device", "dangling"]
 
@@ -150,10 +162,14 @@ def test_a_refusal_of_any_kind_leaves_everything_as_it_was(place, data):
         where += pathlib.Path(name).suffix
     few = {"min_size": 0 if where not in good else 1, "max_size": 2}
     faults = data.draw(st.lists(st.sampled_from(wrong), **few))
-    refused(place, [*words, *sum(faults, []), flag, where])
+    refused(place, [*words, *itertools.chain.from_iterable(faults), flag, where])
 
 
-PLACES = [(command, where) for command in COMMANDS for where in (WRONG_FOLDERS if COMMANDS[command][2] in FOLDERS else WRONG_FILES)]
+PLACES = [
+    (command, where)
+    for command in COMMANDS
+    for where in (WRONG_FOLDERS if COMMANDS[command][2] in FOLDERS else WRONG_FILES)
+]
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +185,7 @@ def runs(tmp_path_factory):
 @pytest.mark.parametrize(("command", "where"), PLACES)
 def test_what_is_in_the_place_of_the_results_is_told(place, runs, command, where):
     """All else is right."""
-    words, flag, name, _ = COMMANDS[command]
+    words, flag, _, _ = COMMANDS[command]
     refused(place, [*words, *(runs if command in ("compare", "leaderboard") else []), flag, where])
 
 

@@ -174,10 +174,24 @@ def agent(observation):
 def test_a_folder_deleted_while_running_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "deleter.py").write_text(DELETER)
-    command = ["evaluate", "--agent", "deleter.py", "--suite", "paper", "--episodes", "17", "--videos", "0", "--out", "out"]
+    command = [
+        "evaluate",
+        "--agent",
+        "deleter.py",
+        "--suite",
+        "paper",
+        "--episodes",
+        "17",
+        "--videos",
+        "0",
+        "--out",
+        "out",
+    ]
     for change in ("num_pedestrians=2", "map_size=20.0", "goal_distance=(6,15)", "horizon=4", "pedestrian_model=orca"):
         command += ["--set", change]
     assert cli.main(command) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("bson: error: Can't write 'out/unfinished/") and "there is no folder 'out/unfinished'" in error
+    assert (
+        error.startswith("bson: error: Can't write 'out/unfinished/") and "there is no folder 'out/unfinished'" in error
+    )
     assert os.listdir(tmp_path) == ["deleter.py"]

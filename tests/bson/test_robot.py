@@ -1,4 +1,5 @@
-"""The Jackal does what it is told, stays upright, and is the robot that Clearpath describes; so do robots from files."""
+"""The Jackal does what it is told, stays upright, and is the robot that Clearpath describes; so do robots from
+files."""
 
 import functools
 import math
@@ -272,7 +273,10 @@ def put(world, pose):
     world.place([0], pose=[pose])
 
 
-def alone(sensors=(Imu(), Lidar2D(), Lidar3D()), pose=(1.0, 2.0, 0.4), **changes):
+_ALL_SENSORS = (Imu(), Lidar2D(), Lidar3D())
+
+
+def alone(sensors=_ALL_SENSORS, pose=(1.0, 2.0, 0.4), **changes):
     """A World without people, in which the robot stands still at `pose` and has settled."""
     found = World(TaskConfig(num_pedestrians=0, map_size=20.0, goal_distance=(6.0, 12.0), **changes), 1, sensors)
     found.reset([0], [3])
@@ -432,8 +436,10 @@ URDF = """<robot name="box"><link name="base_footprint"/>
 <collision><geometry><sphere radius=".1"/></geometry></collision></link>
 <link name="wr"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
 <collision><geometry><sphere radius=".1"/></geometry></collision></link>
-<joint name="l" type="continuous"><parent link="base"/><child link="wl"/><origin xyz="0 .2 0"/><axis xyz="0 1 0"/></joint>
-<joint name="r" type="continuous"><parent link="base"/><child link="wr"/><origin xyz="0 -.2 0"/><axis xyz="0 1 0"/></joint>
+<joint name="l" type="continuous">
+<parent link="base"/><child link="wl"/><origin xyz="0 .2 0"/><axis xyz="0 1 0"/></joint>
+<joint name="r" type="continuous">
+<parent link="base"/><child link="wr"/><origin xyz="0 -.2 0"/><axis xyz="0 1 0"/></joint>
 </robot>"""
 TOML = """model = "box.urdf"
 base = "base_footprint"
@@ -485,7 +491,9 @@ def test_a_file_of_ones_own_is_a_robot_with_its_meshes(box):
 
 
 def test_a_whole_number_stays_whole(box):
-    assert repr(robot.load_robot(box(toml=("max_speed = 1.0", "max_speed = 1"))).config.max_speed) == "1"  # as in digests
+    assert (
+        repr(robot.load_robot(box(toml=("max_speed = 1.0", "max_speed = 1"))).config.max_speed) == "1"
+    )  # as in digests
 
 
 def test_what_xacro_has_expanded_is_read(box):
@@ -528,15 +536,27 @@ def test_a_changed_model_is_read_again(box):
         (("wheel_radius", "wheel_diameter"), ("", ""), "unknown key 'wheel_diameter'.*wheel_radius"),
         (("track = 0.4", "track = 0.4\nwheels = 2"), ("", ""), "unknown key 'wheels'.*effective_track, gain"),
         (("[footprint]", "[outline]"), ("", ""), "unknown key 'outline'.*footprint"),
-        (("max_speed = 1.0", "max_speed = 0.0"), ("", ""), "max_speed': it must be a number above 0, from 0.01 to 5 m/s, not 0.0"),
+        (
+            ("max_speed = 1.0", "max_speed = 0.0"),
+            ("", ""),
+            "max_speed': it must be a number above 0, from 0.01 to 5 m/s, not 0.0",
+        ),
         (("max_speed = 1.0", "max_speed = 20.0"), ("", ""), "from 0.01 to 5 m/s, not 20.0"),
         (("half_length = 0.2", "half_length = 2.0"), ("", ""), "from 0.02 to 0.8 m, not 2.0"),
         (("half_length = 0.2", "half_length = 0.79"), ("", ""), "at most 0.8 m"),
         (("half_width = 0.25\n", ""), ("", ""), "'footprint': missing 'half_width'"),
         (("wheel_radius = 0.1", "wheel_radius = 1e-12"), ("", ""), "wheel_radius': it must be .*, not 1e-12"),
         (("", ""), ('mass value="5"', 'mass value="1e300"'), "mass"),
-        (("", ""), ('ixx=".1" iyy=".1" izz=".1"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"'), "body 'base.* radii of gyration"),
-        (("", ""), ('sphere radius=".1"', 'sphere radius="1e-12"'), "body 'w[lr]' touches with a shape of radius 1e-12"),
+        (
+            ("", ""),
+            ('ixx=".1" iyy=".1" izz=".1"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"'),
+            "body 'base.* radii of gyration",
+        ),
+        (
+            ("", ""),
+            ('sphere radius=".1"', 'sphere radius="1e-12"'),
+            "body 'w[lr]' touches with a shape of radius 1e-12",
+        ),
         (("", ""), ('<link name="base_footprint"/>', 3000 * "<link>" + 3000 * "</link>"), "recursion|nested|deep"),
         (("box.urdf", "box.urdf.xacro"), ("", ""), "xacro FILE.urdf.xacro > FILE.urdf"),
         (("", ""), ('<robot name="box">', '<robot name="box"><xacro:property name="a" value="1"/>'), "xacro's macros"),
@@ -584,14 +604,20 @@ def test_a_model_that_includes_itself_is_refused(box, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "told"),
-    [("arm.urdf.xacro", "Expand it first: `xacro"), ("arm.urdf", "needs a .toml description"), ("arm.dae", "part of a model")],
+    [
+        ("arm.urdf.xacro", "Expand it first: `xacro"),
+        ("arm.urdf", "needs a .toml description"),
+        ("arm.dae", "part of a model"),
+    ],
 )
 def test_a_model_for_a_description_is_told_what_to_do(name, told):
     with pytest.raises(ValueError, match=f"Unknown robot '{name}'.*{told}"):
         robot.load_robot(name)
 
 
-@pytest.mark.parametrize("changes", [{"wheel_radius": 1e-12}, {"track": 1e300}, {"max_yaw_rate": float("nan")}, {"half_width": 0}])
+@pytest.mark.parametrize(
+    "changes", [{"wheel_radius": 1e-12}, {"track": 1e300}, {"max_yaw_rate": float("nan")}, {"half_width": 0}]
+)
 def test_numbers_that_no_robot_has_are_refused_in_a_task_too(changes):
-    with pytest.raises(ValueError, match=f"{[*changes][0]} must be a number above 0, from"):
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} must be a number above 0, from"):
         TaskConfig(robot=changes)

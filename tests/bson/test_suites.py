@@ -48,7 +48,7 @@ def test_standard_has_every_combination_of_three_criteria():
     standard = load_suite("standard")
     assert len(standard.cells) == 27 == len({cell.name for cell in standard.cells})
     assert {axis: len(grades) for axis, grades in standard.axes.items()} == {"obstacles": 3, "people": 3, "temper": 3}
-    dense = [cell for cell in standard.cells if cell.name == "maze, dense, adversarial"][0].config
+    dense = next(cell for cell in standard.cells if cell.name == "maze, dense, adversarial").config
     assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -100,10 +101,26 @@ SHELVES = "walls = [" + ", ".join(f"[-6, {y}, 6, {y}]" for y in np.arange(-5.4, 
     ("text", "people", "told"),
     [
         (SHELVES, 0, "^The robot finds no room in map .*0.85 m .* is asked for, and the most there is is 0.45 m"),
-        ("[regions]\nrobot_start = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "^The robot .* region robot_start .* most there is is 0.50 m"),
-        ("[regions]\nrobot_goal = [[-5.7, 0, 0.2, 0.2, 0]]", 0, "region robot_goal .* by the robot: 0.85 m .* is 0.50 m"),
-        ("[regions]\npeople_start = [[-5.9, 0, 0.1, 2, 0]]", 5, "^Only 0 of 5 people .* people_start .* 0.55 m .* is 0.20 m"),
-        ("[regions]\npeople_start = [[-4, 0, 0.2, 0.2, 0]]", 5, "^Only 1 of 5 people found room in region people_start"),
+        (
+            "[regions]\nrobot_start = [[-5.7, 0, 0.2, 0.2, 0]]",
+            0,
+            "^The robot .* region robot_start .* most there is is 0.50 m",
+        ),
+        (
+            "[regions]\nrobot_goal = [[-5.7, 0, 0.2, 0.2, 0]]",
+            0,
+            "region robot_goal .* by the robot: 0.85 m .* is 0.50 m",
+        ),
+        (
+            "[regions]\npeople_start = [[-5.9, 0, 0.1, 2, 0]]",
+            5,
+            "^Only 0 of 5 people .* people_start .* 0.55 m .* is 0.20 m",
+        ),
+        (
+            "[regions]\npeople_start = [[-4, 0, 0.2, 0.2, 0]]",
+            5,
+            "^Only 1 of 5 people found room in region people_start",
+        ),
         ("routes = [[[-4, 0], [4, 0]]]", 100, r"^Only \d+ of 100 people .* routes\[0\] .*Lower the pedestrian"),
     ],
 )
@@ -131,7 +148,7 @@ def test_a_map_from_a_file_brings_its_size_people_and_regions():
     for person, (place, goal) in enumerate(zip(drawn.people[:, :2], drawn.people_goals, strict=True)):
         route = drawn.layout.routes[person % 3]
         assert goal.tolist() in (route[0].tolist(), route[-1].tolist())
-        dense = np.concatenate([np.linspace(a, b, 50) for a, b in zip(route[:-1], route[1:], strict=True)])
+        dense = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(route)])
         assert np.linalg.norm(dense - place, axis=-1).min() <= 1.5
 
 

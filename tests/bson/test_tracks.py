@@ -2,7 +2,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import bson  # noqa: F401  (registers the environments)
 from bson.episodes.session import Session
 from bson.sensors import Lidar2D
 from bson.task import TaskConfig

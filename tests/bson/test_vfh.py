@@ -122,7 +122,7 @@ def test_a_mirrored_scan_gives_the_mirrored_action():
     rng = np.random.default_rng(0)
     for _ in range(20):
         discs = rng.uniform([1.0, -4.0], [7.0, 4.0], (3, 2))
-        walls = rng.uniform(-6, 6, (2, 4)) + [8, 0, 8, 0]
+        walls = rng.uniform(-6, 6, (2, 4)) + np.array([8, 0, 8, 0])
         here = observe(rng.uniform([3, -8], [20, 8]), discs, walls, rng.uniform([0, -1], [2, 1]))
         action, image = Vfh()(here), Vfh()(mirrored(here))
         assert image == pytest.approx(action * [1, -1], abs=1e-5)

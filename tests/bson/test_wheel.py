@@ -48,3 +48,7 @@ def test_an_installed_wheel_makes_pages(installed):
     templates = [{path.name for path in (root / "bson" / "templates").iterdir()} for root in (ROOT, installed)]
     assert templates[0] == templates[1]
     assert {"report.html", "compare.html", "page.css"} <= templates[1]
+
+
+def test_an_installed_wheel_has_its_types(installed):
+    assert (installed / "bson" / "py.typed").exists()

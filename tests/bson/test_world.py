@@ -280,7 +280,7 @@ def calm():
     world = World(CALM, 2, SENSORS)
     world.reset([0, 1], [1, 2])
     expected = []
-    for step in range(5):
+    for _ in range(5):
         world.step([0, 1], np.ones((2, 2)))
         expected.append(world.qpos[1].copy())
     return world, expected
@@ -302,7 +302,7 @@ def test_failed_physics_is_named_and_stays_in_its_world(calm, field, place, valu
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings there
     world, expected = calm
     world.reset([0, 1], [1, 2])
-    for step in range(2):
+    for _ in range(2):
         world.step([0, 1], np.ones((2, 2)))
     before = world.qpos[0].copy(), world.readings["lidar"][0].copy(), world.pose[0].copy()
     broken = world.people_goals if field == "people_goals" else getattr(world.engine, field)
@@ -315,7 +315,7 @@ def test_failed_physics_is_named_and_stays_in_its_world(calm, field, place, valu
         for now, then in zip((world.qpos[0], world.readings["lidar"][0], world.pose[0]), before, strict=True):
             assert np.array_equal(now, then)
     world.reset([0], [2])
-    for step in range(5):
+    for _ in range(5):
         world.step([0], np.ones((1, 2)))
     assert world.fault[0] == "" and np.array_equal(world.qpos[0], expected[4])
 

@@ -122,7 +122,7 @@ class WarpEngine:
     UsageError where Warp is not installed, ValueError for a model that it lacks something for.
     """
 
-    def __init__(self, spec, people, config=None):
+    def __init__(self, spec: mujoco.MjSpec, people: int, config: Any = None):
         warp, mujoco_warp, _, _ = _warp()
         self.config = config = config or WarpConfig()
         self.people = people
@@ -144,12 +144,12 @@ class WarpEngine:
         self._step = functools.cache(lambda number: _mapped(functools.partial(self._step_worlds, number)))
         self._sense = _mapped(self._sense_worlds)
 
-    def rest(self, qpos):
+    def rest(self, qpos: Any) -> Any:
         """The Motion of a world at rest in the configuration `qpos` (nq,)."""
         nv, nu = self.model.nv, self.model.nu
         return Motion(qpos, jnp.zeros(nv, jnp.float32), jnp.zeros(nv, jnp.float32), jnp.zeros(nu, jnp.float32))
 
-    def step(self, motion, boxes, number):
+    def step(self, motion: Any, boxes: Any, number: int) -> Any:
         """`number` physics steps of a world in `motion` among `boxes` (B, 5): the Motion after them, the configuration
         after each (number, nq), and `overflow`.
 
@@ -158,16 +158,16 @@ class WarpEngine:
         qpos, qvel, warmstart, record, overflow = self._step(number)(*motion, *self._placed(boxes))
         return Motion(qpos, qvel, warmstart, motion.ctrl), record, overflow & _LOST
 
-    def sensordata(self, motion, boxes):
+    def sensordata(self, motion: Any, boxes: Any) -> Any:
         """What MuJoCo's own sensors (IMU) read in a world: (nsensordata,)."""
         (read,) = self._sense(*motion, *self._placed(boxes))
         return read
 
-    def contacts(self, nworld):
+    def contacts(self, nworld: int) -> int:
         """For how many contacts `nworld` worlds have room together."""
         return 64 + int(np.ceil(self.config.contacts * nworld))
 
-    def explain(self, overflow):
+    def explain(self, overflow: int) -> str:
         """The bits `overflow` of a step in one sentence."""
         told = []
         if overflow & _ROWS:
