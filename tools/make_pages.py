@@ -198,7 +198,12 @@ def gpu_crowds():
 
 def gpu_robots():
     """Lines of the table of the robot's worlds on a GPU."""
-    named = {"none": "none", "lidar2d": "2D LIDAR, 720", "camera": "RGB and depth, 160 x 120", "ppo": "PPO learning, 2D LIDAR"}
+    named = {
+        "none": "none",
+        "lidar2d": "2D LIDAR, 720",
+        "camera": "RGB and depth, 160 x 120",
+        "ppo": "PPO learning, 2D LIDAR",
+    }
     lines = [tables.text_row("sensor", ["worlds", "control steps/s"]), "|---|---|---|"]
     for sensor, name in named.items():
         for row in shipped("gpu")["rows"]:
