@@ -19,8 +19,8 @@ import warnings
 import numpy as np
 import reproduce_tables as tables
 
-from bson.metrics import summarise
-from bson.results import read_results
+from bson.evaluation.metrics import summarise
+from bson.evaluation.results import read_results
 from macid import command
 from macid.command import Parser, check_words
 from macid.evaluate import level_name
