@@ -4,7 +4,7 @@ import gymnasium as _gymnasium
 
 from macid import forks as _forks  # noqa: F401  (it notes what a process forked from here on has lost)
 
-ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
+ENVIRONMENTS = {  # id: the track and the sensor (bson.episodes.tracks)
     f"BSON/{track.capitalize()}{name}-v0": {"track": track, "sensor": name.lower()}
     for track in ("local", "global")
     for name in ("Lidar2D", "Lidar3D", "Camera")
@@ -12,5 +12,5 @@ ENVIRONMENTS = {  # id: the track and the sensor (bson.tracks)
 
 for _id, _kwargs in ENVIRONMENTS.items():  # by name: MuJoCo and JAX are loaded when one is made
     _gymnasium.register(
-        _id, "bson.env:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs
+        _id, "bson.interfaces.gym:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs
     )

@@ -10,9 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from bson import tracks
+from bson.episodes import tracks
 from bson.episodes.session import Session
-from bson.evaluate import versions
+from bson.evaluation.play import versions
 from bson.simulation.engines.base import Engine
 from bson.task import TaskConfig
 

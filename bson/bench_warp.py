@@ -37,10 +37,10 @@ def measure(
     import jax
     import jax.numpy as jnp
 
+    from bson.episodes.tracks import SENSORS as SETS
     from bson.interfaces.device import DeviceWorlds
     from bson.interfaces.functional import BsonFuncEnv
     from bson.simulation.engines.warp import WarpConfig
-    from bson.tracks import SENSORS as SETS
 
     engine = WarpConfig(**(engine or {})) if isinstance(engine, dict | None) else engine
     begin = time.perf_counter()
@@ -142,10 +142,10 @@ def measure_training(
 
 def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None = None) -> dict[str, Any]:
     """How fast the learned policy `score` is scored on the suite `paper`, and its SNS in each episode."""
-    from bson.interfaces.play import LearnedOnDevice, play
-    from bson.metrics import measure as metrics_of
+    from bson.evaluation.metrics import measure as metrics_of
+    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.suites import load_suite
     from bson.simulation.engines.warp import WarpConfig
-    from bson.suites import load_suite
 
     suite = load_suite("paper")
     begin = time.perf_counter()

@@ -4,7 +4,7 @@ calls.
     from bson import benchmark
 
     results = benchmark.evaluate(agent, "smoke", out="results/mine")
-    results.metrics["SNS"]  # (episodes,), see bson.results.Results
+    results.metrics["SNS"]  # (episodes,), see bson.evaluation.results.Results
 
 Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. What is heavy is loaded
 when it is needed: comparing results loads neither JAX nor MuJoCo.
@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from bson.episodes.record import Episode
-from bson.results import Results
+from bson.evaluation.results import Results
 from macid.executors import Executor, make_executor
 from macid.files import (
     UsageError,
@@ -64,11 +64,11 @@ def evaluate(
     agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
     (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
     episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
-    track, sensor: as of bson.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that
-    are changed. paired: also plays each episode without the robot. metrics: of one's own, each `module:function` or
-    `file.py:function` (see bson.metrics). videos: how many films. resume: goes on with what was cut short in `out`.
-    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
-    episodes of a cell at once on a device, for agents that are learned policies. command: what
+    track, sensor: as of bson.episodes.tracks.make_track (default: what the agent wants). overrides: fields of
+    TaskConfig that are changed. paired: also plays each episode without the robot. metrics: of one's own, each
+    `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: how many films. resume: goes on with
+    what was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or
+    "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies. command: what
     `results.json` says that it was made by. told: called with the Results once these are written, before anything is
     filmed. quiet: no progress on stderr.
 
@@ -77,13 +77,13 @@ def evaluate(
     ValueError, of one line, before anything is written where the request can't be met.
     """
     from bson.agents import agent_label, check_settings, load_agent
-    from bson.evaluate import results, sound
+    from bson.episodes.tracks import make_track, sensor_label, sensor_settings
     from bson.evaluation.executors import check_engine, play_cells
-    from bson.metrics import own_metrics
-    from bson.report import make_report
-    from bson.resume import Unfinished, basis, files_digest
-    from bson.suites import load_suite
-    from bson.tracks import make_track, sensor_label, sensor_settings
+    from bson.evaluation.metrics import own_metrics
+    from bson.evaluation.play import results, sound
+    from bson.evaluation.store import Unfinished, basis, files_digest
+    from bson.evaluation.suites import load_suite
+    from bson.reporting.report import make_report
 
     name, changes = agent_label(agent), overrides or {}
     own = own_metrics(metrics)
@@ -215,7 +215,7 @@ def to_film(played: Sequence[Sequence[Episode]], number: int) -> list[tuple[int,
     played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
     the worst of each of the `number` worst cells, and the best of the best.
     """
-    from bson.metrics import sns, spread_by_score
+    from bson.evaluation.metrics import sns, spread_by_score
 
     if len(played) == 1:
         chosen = [(0, episode) for episode in spread_by_score(played[0], number)]
@@ -241,8 +241,8 @@ def _films(played, cells, track, folder, number, name, quiet):
     """
     from tqdm import tqdm
 
-    from bson import film
-    from bson.metrics import sns
+    from bson.episodes import film
+    from bson.evaluation.metrics import sns
     from bson.simulation.scene import build_model
     from macid import drawing
 
@@ -276,7 +276,7 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
     results: Results, or folders that an evaluation wrote, or their results.json. out: folder for compare.json and
     compare.html; None: nothing is written. Raises ValueError where they can't be compared.
     """
-    from bson.compare import compare, make_page
+    from bson.reporting.compare import compare, make_page
 
     content = compare([_loaded(each) for each in results])
     if out is not None:
@@ -292,12 +292,12 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
 def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str | pathlib.Path | None = None) -> str:
     """A metric over the cells of a suite, as the report has the SNS: an HTML page.
 
-    results: as of `compare`, one. metric: a name of bson.metrics.METRICS. out: an .html file for it. Raises UsageError
-    where the suite has one cell only, or the metric is unknown.
+    results: as of `compare`, one. metric: a name of bson.evaluation.metrics.METRICS. out: an .html file for it. Raises
+    UsageError where the suite has one cell only, or the metric is unknown.
     """
-    from bson.heatmap import Scale, Tile, cell_maps
-    from bson.metrics import METRICS
-    from bson.page import render
+    from bson.evaluation.metrics import METRICS
+    from bson.reporting.heatmap import Scale, Tile, cell_maps
+    from bson.reporting.page import render
 
     found, known = _loaded(results), {one.name: one for one in METRICS}
     cells = found.content["cells"]
@@ -329,7 +329,7 @@ def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | p
     results: as of `compare`. readme: a file into which it is also put, between its marks. Raises ValueError where
     results of a suite are not of the same episodes.
     """
-    from bson.leaderboard import fill_readme, leaderboard
+    from bson.reporting.leaderboard import fill_readme, leaderboard
 
     text = leaderboard([_loaded(each) for each in results])
     if readme is not None:
@@ -354,12 +354,12 @@ def film(
     out: a .webm film, or a .png picture of the control step `step` (default: halfway; -1 is the last). The rest as of
     `evaluate`. Raises UsageError, before anything is played where the request can't be met.
     """
-    from bson import film
     from bson.agents import agent_label, check_settings, load_agent
-    from bson.evaluate import run_episodes
+    from bson.episodes import film
+    from bson.episodes.tracks import make_track
+    from bson.evaluation.play import run_episodes
     from bson.simulation.scene import build_model
     from bson.task import TaskConfig
-    from bson.tracks import make_track
     from macid import drawing
 
     config, name = TaskConfig().replace(**overrides or {}), agent_label(agent)

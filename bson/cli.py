@@ -97,7 +97,7 @@ def _words(argv):
 
 def _evaluate(args):
     from bson import benchmark
-    from bson.evaluate import format_summary
+    from bson.evaluation.play import format_summary
 
     found = benchmark.evaluate(
         args.agent,
@@ -126,7 +126,7 @@ def _evaluate(args):
 
 def _compare(args):
     from bson import benchmark
-    from bson.compare import format_comparison
+    from bson.reporting.compare import format_comparison
 
     print(format_comparison(benchmark.compare(args.results, args.out)))
     out = pathlib.Path(args.out)
@@ -161,9 +161,9 @@ def _render(args):
 
 
 def _export(args):
+    from bson.episodes.tracks import make_track
     from bson.interfaces.export import export
     from bson.task import TaskConfig
-    from bson.tracks import make_track
 
     config = _cell(args.suite, args.cell) if args.suite or args.cell else TaskConfig()
     track = make_track(args.track, args.sensor)
@@ -175,7 +175,7 @@ def _export(args):
 
 def _cell(suite, cell):
     """The TaskConfig of the cell named `cell` of the suite named `suite`. Raises UsageError."""
-    from bson.suites import load_suite
+    from bson.evaluation.suites import load_suite
     from macid.documents import shown
 
     if suite is None:
@@ -297,8 +297,8 @@ def _doctor(args):
 
 def _list(args):
     from bson import ENVIRONMENTS
+    from bson.evaluation.suites import load_suite, suite_names
     from bson.registry import KINDS, kind
-    from bson.suites import load_suite, suite_names
 
     print("environments  " + ", ".join(ENVIRONMENTS))
     for what, (_, given) in KINDS.items():

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from dm_env import specs
 
-from bson.env import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.episodes.session import Session
+from bson.episodes.tracks import LocalTrack, make_track
+from bson.interfaces.gym import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import LocalTrack, make_track
 from macid.drawing import close_before_all_else
 
 
@@ -49,14 +49,15 @@ close_before_all_else()  # dm_control has an EGL of its own, which it ends at ex
 def load(track: str = "local", sensor: Any = "lidar2d", seed: int | None = None, **config: Any) -> "Environment":
     """The environment of a track and a sensor (as in `gymnasium.make`'s ids) and TaskConfig's fields `config`.
 
-    seed: of the first episode; later episodes' seeds come from it, as in `bson.env.BsonEnv`. Raises ValueError, naming
-    the valid choices.
+    seed: of the first episode; later episodes' seeds come from it, as in `bson.interfaces.gym.BsonEnv`. Raises
+    ValueError, naming the valid choices.
     """
     return Environment(TaskConfig().replace(**config), make_track(track, sensor), seed)
 
 
 class Environment(Rebuilt, dm_env.Environment):
-    """One world. Observations, actions and rewards are those of `bson.env.BsonEnv`, which has them as tables.
+    """One world. Observations, actions and rewards are those of `bson.interfaces.gym.BsonEnv`, which has them as
+    tables.
 
     The discount is 0 at the goal, and 1 at the horizon, where the episode is cut off.
     """

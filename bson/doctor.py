@@ -19,7 +19,7 @@ _PATIENCE = 120  # for the process that tries to draw [s]
 
 
 def _versions():
-    from bson.evaluate import versions
+    from bson.evaluation.play import versions
 
     return ", ".join(f"{name} {version}" for name, version in versions().items())
 
@@ -54,7 +54,7 @@ def _packages():
 
 
 def _assets():
-    from bson.suites import suite_names
+    from bson.evaluation.suites import suite_names
     from macid import assets
 
     return f"{assets.root()} (suites: {', '.join(suite_names())})"
@@ -108,10 +108,10 @@ def _read(cameras):
     right."""
     import numpy as np
 
+    from bson.episodes.tracks import SENSORS
     from bson.sensors import Camera
     from bson.simulation.world import World
     from bson.task import TaskConfig
-    from bson.tracks import SENSORS
 
     known = {sensor.key: sensor for sensors in SENSORS.values() for sensor in sensors}
     chosen = [sensor for sensor in known.values() if isinstance(sensor, Camera) == cameras]

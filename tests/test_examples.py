@@ -43,7 +43,7 @@ def test_an_agent_drives_to_the_goal_with_any_robot(here):
 
 
 def test_a_sensor_reads_where_the_nearest_person_is(here):
-    from bson.env import BsonEnv
+    from bson.interfaces.gym import BsonEnv
 
     content = scored(here, "--agent", "own_sensor.py", "--sensor", "own_sensor.py:SENSORS", "--suite", "smoke")
     assert [sensor["kind"] for sensor in content["sensors"]][-1] == "NearestPerson"
@@ -93,7 +93,7 @@ def test_a_metric_stands_in_results_report_and_comparison(here, capsys):
     assert "waiting" in capsys.readouterr().out and "time below 0.1 m/s" in (here / "out" / "report.html").read_text()
     assert bson.cli.main(["compare", "out", "out", "--out", "both"]) == 0
     assert "waiting" in (here / "both" / "compare.html").read_text()
-    from bson.results import Results
+    from bson.evaluation.results import Results
 
     assert Results.load("out").metrics["waiting"].shape == (2,)
 

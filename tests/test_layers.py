@@ -24,14 +24,15 @@ MACID = (
     "cli",
 )
 BSON = (
-    "robot page templates",
+    "robot",
     "sensors task features",
     "simulation planners",
-    "tracks episodes",
-    "agents metrics",
-    "results suites film heatmap env dm interfaces",
-    "evaluate resume report compare leaderboard",
-    "evaluation learning",
+    "episodes",
+    "agents",
+    "interfaces dm",
+    "evaluation",
+    "reporting",
+    "learning",
     "bench bench_warp benchmark doctor registry",
     "cli",
 )

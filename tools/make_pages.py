@@ -19,8 +19,8 @@ import warnings
 import numpy as np
 import reproduce_tables as tables
 
-from bson.metrics import summarise
-from bson.results import read_results
+from bson.evaluation.metrics import summarise
+from bson.evaluation.results import read_results
 from macid import command
 from macid.command import Parser, check_words
 from macid.evaluate import level_name
@@ -198,7 +198,12 @@ def gpu_crowds():
 
 def gpu_robots():
     """Lines of the table of the robot's worlds on a GPU."""
-    named = {"none": "none", "lidar2d": "2D LIDAR, 720", "camera": "RGB and depth, 160 x 120", "ppo": "PPO learning, 2D LIDAR"}
+    named = {
+        "none": "none",
+        "lidar2d": "2D LIDAR, 720",
+        "camera": "RGB and depth, 160 x 120",
+        "ppo": "PPO learning, 2D LIDAR",
+    }
     lines = [tables.text_row("sensor", ["worlds", "control steps/s"]), "|---|---|---|"]
     for sensor, name in named.items():
         for row in shipped("gpu")["rows"]:

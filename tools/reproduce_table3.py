@@ -20,13 +20,13 @@ import sys
 import numpy as np
 
 from bson.agents import load_agent
-from bson.evaluate import run_episodes
+from bson.episodes.tracks import make_track
 from bson.evaluation.executors import Play, play_each
+from bson.evaluation.metrics import measure, summarise
+from bson.evaluation.play import run_episodes
+from bson.evaluation.store import basis
+from bson.evaluation.suites import load_suite
 from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_apart, train_with_bar
-from bson.metrics import measure, summarise
-from bson.resume import basis
-from bson.suites import load_suite
-from bson.tracks import make_track
 from macid import command
 from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
 from macid.evaluate import lcf_bins

@@ -5,8 +5,8 @@ instantiated once a world. If its constructor has an argument `setting`, or one 
 the Setting in which the agent is to drive (bson.agents.contract), and may raise Unsuited where the agent can't. Its
 `reset(seed)`, if it has one, is called when an episode begins, with the episode's seed.
 
-observation: the dict of one world (see bson.env.BsonEnv). action: (2,) in [-1, 1], numbers, an array, or a torch
-tensor, which is detached from its gradient and brought to the CPU.
+observation: the dict of one world (see bson.interfaces.gym.BsonEnv). action: (2,) in [-1, 1], numbers, an array, or a
+torch tensor, which is detached from its gradient and brought to the CPU.
 """
 
 import inspect

@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from bson.episodes.tracks import KEYS, MAP_RESOLUTION, TRACKS, LocalTrack, make_track
 from bson.robot import RobotConfig, load_robot
 from bson.sensors import Sensor
 from bson.task import TaskConfig
-from bson.tracks import KEYS, MAP_RESOLUTION, TRACKS, LocalTrack, make_track
 from macid.files import UsageError
 from macid.registry import Failed, raised
 
@@ -61,7 +61,7 @@ class Setting:
 
     @classmethod
     def of(cls, config: TaskConfig, track: LocalTrack) -> "Setting":
-        """The setting of a task's `config` on a `track` (see bson.tracks.make_track)."""
+        """The setting of a task's `config` on a `track` (see bson.episodes.tracks.make_track)."""
         names = [name for name, kind in TRACKS.items() if type(track) is kind]
         return cls(
             config.control_period,
@@ -103,7 +103,8 @@ class Agent(Protocol):
 
     def __call__(self, observation: Mapping[str, np.ndarray], /) -> Any:
         """The action (2,) in [-1, 1], shares of top speed ahead and top yaw rate counter-clockwise, for one world's
-        observation (see bson.env.BsonEnv): numbers, an array, or a torch tensor, which is brought to the CPU."""
+        observation (see bson.interfaces.gym.BsonEnv): numbers, an array, or a torch tensor, which is brought to the
+        CPU."""
         ...
 
 

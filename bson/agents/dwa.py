@@ -92,7 +92,7 @@ class Dwa:
         self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
+        """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         if self._steps % self._scan.every == 0:
             self._met = self._points(self._scan.read(observation))

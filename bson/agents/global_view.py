@@ -34,7 +34,7 @@ class GlobalView:
         return self._map
 
     def see(self, observation: Mapping[str, np.ndarray]) -> None:
-        """Takes in a Global observation (see bson.env.BsonEnv). People stand until they were seen twice."""
+        """Takes in a Global observation (see bson.interfaces.gym.BsonEnv). People stand until they were seen twice."""
         first = self._map is None
         if first:
             resolution = float(observation["map_resolution"][0])

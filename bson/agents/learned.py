@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 
 from bson.agents.contract import Setting, Unsuited
+from bson.episodes.tracks import make_track
 from bson.features import FEATURES, SECTORS, TOP, Features
 from bson.sensors import Lidar2D
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid import assets
 from macid.documents import convert
 from macid.files import UsageError

@@ -76,7 +76,7 @@ class OrcaOracle:
         self._planned = 0  # decisions ago
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The action (2,) for one world's Global observation (see bson.env.BsonEnv)."""
+        """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
         view, robot = self._view, self._robot
         view.see(observation)
         if self._grid is None:

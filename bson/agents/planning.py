@@ -56,7 +56,7 @@ class _Planning:
         self._age = 0
 
     def __call__(self, observation):
-        """The action for a Global observation (see bson.env.BsonEnv)."""
+        """The action for a Global observation (see bson.interfaces.gym.BsonEnv)."""
         self._view.see(observation)
         if self._grid is None:
             self._grid = self._view.map.inflated(self._clearance)

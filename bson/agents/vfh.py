@@ -108,7 +108,7 @@ class Vfh:
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The action (2,) for one world's observation (see bson.env.BsonEnv)."""
+        """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
         goal, velocity = np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float)
         self._localise(goal, velocity)
         self._old = self._steps % self._scan.every

@@ -8,13 +8,13 @@ from typing import Any, TypeAlias
 import gymnasium
 import numpy as np
 
+from bson.episodes.tracks import LocalTrack
 from bson.simulation.data import INFO
 from bson.simulation.engines.base import MakeEngine
 from bson.simulation.engines.native import NativeEngine
 from bson.simulation.scene import structure
 from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
-from bson.tracks import LocalTrack
 from macid.reward import individual_reward
 
 Ids: TypeAlias = Sequence[int] | np.ndarray  #: numbers of worlds, in ascending order

@@ -11,11 +11,11 @@ from typing import Any
 
 from bson.agents import BUILT_IN, learned, load_agent
 from bson.episodes.record import Episode
-from bson.evaluate import BATCH, pair, run_episodes
+from bson.episodes.tracks import make_track
+from bson.evaluation.play import BATCH, pair, run_episodes
+from bson.evaluation.suites import Cell
 from bson.robot import load_robot
-from bson.suites import Cell
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid.executors import Carried, Executor, carry_files, carry_module
 from macid.files import UsageError
 from macid.maps import map_files
@@ -52,8 +52,8 @@ def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None
     """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
     agent's factory, where it is loaded already."""
     if job.engine == "warp":
-        from bson.interfaces.play import LearnedOnDevice
-        from bson.interfaces.play import play as play_on_device
+        from bson.evaluation.on_device import LearnedOnDevice
+        from bson.evaluation.on_device import play as play_on_device
 
         for episode in play_on_device(LearnedOnDevice(job.agent), job.config, job.seeds):
             send((len(episode.pose) - 1, episode))

@@ -4,7 +4,7 @@ from typing import Any
 
 import gymnasium
 
-from bson.env import BsonVectorEnv
+from bson.interfaces.gym import BsonVectorEnv
 from macid.documents import shown
 
 

@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 
 from bson import robot
+from bson.episodes.tracks import GlobalTrack, LocalTrack, sensor_documents
 from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.renderer import draw_plainly
 from bson.simulation.scene import build_spec
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import GlobalTrack, LocalTrack, sensor_documents
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion

@@ -5,9 +5,9 @@
     state = jax.jit(jax.vmap(env.transition))(state, actions)
 
 All of a control step happens on the device: what pedestrians decide, physics (MJX-Warp), collisions, sensors. The rules
-are those of `bson.env.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with the native
-engine's to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians' later goals
-too: see `bson.simulation.pool`.
+are those of `bson.interfaces.gym.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with
+the native engine's to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians'
+later goals too: see `bson.simulation.pool`.
 """
 
 from typing import Any
@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.experimental.functional import FuncEnv
 
+from bson.episodes.tracks import GlobalTrack, make_track, velocity_limit
 from bson.simulation.batched import COLLISIONS, BatchedWorld
 from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.engines.warp import WarpConfig
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig
-from bson.tracks import GlobalTrack, make_track, velocity_limit
 from macid import geometry
 from macid.reward import individual_reward
 
@@ -130,8 +130,8 @@ class BsonFuncEnv(FuncEnv):
         return (state.fault | (state.steps >= self.config.horizon)) & ~self.terminal(state)
 
     def state_info(self, state: Any, params: Any = None) -> dict[str, Any]:
-        """What the metrics need: a dict as in `bson.env.BsonEnv`, but `seed` (2,) is in halves of 32 bits, the lower
-        first, and `fault` is a bool."""
+        """What the metrics need: a dict as in `bson.interfaces.gym.BsonEnv`, but `seed` (2,) is in halves of 32 bits,
+        the lower first, and `fault` is a bool."""
         return {
             "seed": state.drawn.seed,
             "time": state.steps * jnp.float32(self.config.control_period),

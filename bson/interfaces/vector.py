@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from bson.env import ACTION_SPACE, Specified, check_seed, frames_per_second
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
+from bson.interfaces.gym import ACTION_SPACE, Specified, check_seed, frames_per_second
 from bson.simulation.engines.warp import WarpConfig
 from bson.simulation.world import check_worlds
 from macid.documents import shown
@@ -23,7 +23,8 @@ _NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
 
 
 class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
-    """`num_envs` worlds of `bson.env.BsonEnv` on one device, with the spaces, infos and arguments of BsonVectorEnv.
+    """`num_envs` worlds of `bson.interfaces.gym.BsonEnv` on one device, with the spaces, infos and arguments of
+    BsonVectorEnv.
 
     Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which they begin, and none comes twice. A
     world whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default mode).

@@ -12,11 +12,11 @@ from bson.agents.contract import Setting, made_for
 from bson.agents.learned import Learned
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
+from bson.episodes.tracks import LocalTrack
+from bson.evaluation.metrics import sns
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
-from bson.metrics import sns
 from bson.task import TaskConfig
-from bson.tracks import LocalTrack
 
 
 @dataclasses.dataclass(frozen=True)

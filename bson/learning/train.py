@@ -16,16 +16,16 @@ from tqdm import tqdm
 
 from bson.agents import learned
 from bson.agents.contract import Setting, Unsuited
-from bson.evaluate import run_episodes, sound, versions
+from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
+from bson.evaluation.metrics import measure
+from bson.evaluation.play import run_episodes, sound, versions
+from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
-from bson.metrics import measure
-from bson.suites import load_suite
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid import start
 from macid.documents import read_document, shown
 from macid.executors import Carried

@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
-from bson import metrics
-from bson.env import BsonVectorEnv
+from bson.evaluation import metrics
 from bson.features import FEATURES, Features
+from bson.interfaces.gym import BsonVectorEnv
 from bson.simulation.world import World
 
 

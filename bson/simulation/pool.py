@@ -44,7 +44,7 @@ class Drawn(NamedTuple):
     models: Any  #: (K,) int32
     ways: Any  #: (K, W, 2) waypoints [m], goal after goal
     turns: Any  #: (K,) int32: how many waypoints there are
-    map: Any  #: (cells, cells) uint8, see bson.tracks; (0, 0) unless asked for
+    map: Any  #: (cells, cells) uint8, see bson.episodes.tracks; (0, 0) unless asked for
 
 
 def _itineraries(config, drawn, rng):

@@ -104,8 +104,8 @@ def test_an_agent_may_be_a_file_a_function_or_a_class(tmp_path, monkeypatch):
         ("nowhere:agent", "can't import 'nowhere'"),
         ("missing.py", "no file 'missing.py'"),
         ("bson.agents.scripted:go", "no 'go' there.*goal"),
-        ("bson.metrics:GAMMA", "not callable"),
-        ("bson.metrics:Episode", "without arguments"),
+        ("bson.evaluation.metrics:GAMMA", "not callable"),
+        ("bson.evaluation.metrics:Episode", "without arguments"),
     ],
 )
 def test_an_agent_that_cannot_be_had_is_told(name, told):

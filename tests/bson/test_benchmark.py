@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bson import benchmark, cli
-from bson.metrics import METRICS
-from bson.results import Results
+from bson.evaluation.metrics import METRICS
+from bson.evaluation.results import Results
 from macid.files import UsageError
 
 QUICK = {"map_size": 20.0, "goal_distance": (6, 12), "num_pedestrians": 3, "horizon": 20, "pedestrian_model": "orca"}

@@ -5,7 +5,7 @@ import pytest
 
 from bson import cli
 from bson.benchmark import to_film
-from bson.suites import suite_names
+from bson.evaluation.suites import suite_names
 from macid import drawing
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=40"]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from bson import cli
-from bson.compare import (
+from bson.evaluation.metrics import summarise
+from bson.evaluation.results import Results
+from bson.reporting.compare import (
     LEAST_PAIRS,
     check_comparable,
     compare,
@@ -14,9 +16,7 @@ from bson.compare import (
     format_comparison,
     make_page,
 )
-from bson.leaderboard import BEGIN, END, fill_readme, leaderboard
-from bson.metrics import summarise
-from bson.results import Results
+from bson.reporting.leaderboard import BEGIN, END, fill_readme, leaderboard
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=30"]
 

@@ -11,8 +11,8 @@ import pytest
 
 import macid
 from bson import doctor
+from bson.episodes.tracks import SENSORS
 from bson.sensors import Camera, Lidar2D, RgbCamera
-from bson.tracks import SENSORS
 from macid import drawing
 
 KEYS = {sensor.key: isinstance(sensor, Camera) for sensors in SENSORS.values() for sensor in sensors}

@@ -7,8 +7,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from bson import ENVIRONMENTS
-from bson.env import BsonEnv, BsonVectorEnv
-from bson.metrics import GAMMA
+from bson.evaluation.metrics import GAMMA
+from bson.interfaces.gym import BsonEnv, BsonVectorEnv
 
 SMALL = {"num_pedestrians": 4, "map_size": 20.0, "goal_distance": (6.0, 15.0)}
 ID = "BSON/LocalLidar2D-v0"

@@ -9,13 +9,13 @@ import pytest
 from bson.agents import load_agent
 from bson.cli import main
 from bson.episodes.session import Session
-from bson.evaluate import format_summary, pair, results, run_episodes
-from bson.metrics import METRICS, measure
-from bson.report import make_report
-from bson.resume import basis, files_digest
-from bson.suites import Cell
+from bson.episodes.tracks import make_track
+from bson.evaluation.metrics import METRICS, measure
+from bson.evaluation.play import format_summary, pair, results, run_episodes
+from bson.evaluation.store import basis, files_digest
+from bson.evaluation.suites import Cell
+from bson.reporting.report import make_report
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid import assets, drawing
 
 TRACK = make_track("local", "lidar2d")

@@ -16,7 +16,7 @@ import pytest
 
 from bson import benchmark, cli
 from bson.evaluation.executors import carried_agent, carried_task, shares
-from bson.suites import load_suite
+from bson.evaluation.suites import load_suite
 from bson.task import TaskConfig
 from macid.executors import Local, make_executor
 from macid.files import UsageError

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from bson import cli
+from bson.episodes.tracks import make_track
+from bson.evaluation.suites import load_suite
 from bson.interfaces.export import export
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
 from bson.simulation.world import World
-from bson.suites import load_suite
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid.drawing import gl_problem, lcf_colour
 from macid.geometry import wrap_angle
 

@@ -6,7 +6,8 @@ import os
 import numpy as np
 import pytest
 
-from bson import film, robot
+from bson import robot
+from bson.episodes import film
 from bson.episodes.record import Episode
 from macid import drawing, scene
 

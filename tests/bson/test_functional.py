@@ -15,6 +15,7 @@ import bson
 from bson import benchmark
 from bson.agents import learned
 from bson.episodes.session import Session
+from bson.episodes.tracks import make_track
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.sensors import Imu, Lidar2D
@@ -22,7 +23,6 @@ from bson.simulation.batched import COLLISIONS
 from bson.simulation.engines import warp
 from bson.simulation.pool import Pool
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid.files import UsageError
 
 WORLDS, SEED = 3, 3
@@ -295,9 +295,9 @@ def test_noise_and_rates_are_those_of_the_sensors():
 
 @pytest.mark.slow
 def test_a_shipped_policy_scores_alike_on_a_device():
-    from bson.evaluate import run_episodes
-    from bson.interfaces.play import LearnedOnDevice, play
-    from bson.metrics import measure
+    from bson.evaluation.metrics import measure
+    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.play import run_episodes
 
     config = TaskConfig(
         num_pedestrians=3, pedestrian_model="standing", map_size=14.0, goal_distance=(5.0, 9.0), horizon=150

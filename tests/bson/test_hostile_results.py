@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from bson import cli
 from bson.agents import AgentError, act, load_agent
-from bson.compare import compare, format_comparison, make_page
+from bson.evaluation.metrics import METRICS
+from bson.evaluation.results import Content, Results, read_results
 from bson.features import FEATURES
-from bson.leaderboard import leaderboard
-from bson.metrics import METRICS
-from bson.results import Content, Results, read_results
+from bson.reporting.compare import compare, format_comparison, make_page
+from bson.reporting.leaderboard import leaderboard
 from macid.documents import MOST_NUMBER
 from macid.files import UsageError
 from macid.policy import write_network

@@ -7,8 +7,8 @@ import hostile
 import pytest
 from hypothesis import HealthCheck, given, settings
 
+from bson.evaluation.suites import load_suite, read_suite
 from bson.robot import load_robot
-from bson.suites import load_suite, read_suite
 from macid import assets
 
 ROBOT = assets.path("robots", "diffbot.toml").read_text()

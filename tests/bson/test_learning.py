@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bson.agents import Setting, learned
-from bson.env import BsonEnv
+from bson.episodes.tracks import make_track
 from bson.features import FEATURES, Features
+from bson.interfaces.gym import BsonEnv
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
 

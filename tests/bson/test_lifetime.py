@@ -18,14 +18,14 @@ import pytest
 import bson
 import bson.dm
 from bson import robot
-from bson.env import BsonEnv, BsonVectorEnv
 from bson.episodes.session import KEPT, Session
+from bson.episodes.tracks import LocalTrack, make_track, sensor_documents
+from bson.interfaces.gym import BsonEnv, BsonVectorEnv
 from bson.sensors import Camera, Imu, Lidar2D, RgbCamera
 from bson.simulation.people import BOXES, ROWS, decision, rows_for
 from bson.simulation.scene import build_spec, structure
 from bson.simulation.world import MAX_WORLDS, World
 from bson.task import MAX_PEDESTRIANS, TaskConfig
-from bson.tracks import LocalTrack, make_track, sensor_documents
 from macid.drawing import gl_problem
 from macid.pedestrians import make_controller
 from macid.reward import RewardWeights
@@ -381,7 +381,7 @@ jnp.ones(3).sum().block_until_ready()
 reader, writer = os.pipe()
 if os.fork() == 0:
     try:
-        from bson.env import BsonEnv
+        from bson.interfaces.gym import BsonEnv
         env = BsonEnv(num_pedestrians=1)
         env.reset(seed=0)
         env.step([0.1, 0.1])
@@ -415,7 +415,7 @@ def test_worlds_made_before_a_fork_are_refused_in_the_child():
 
 def test_without_a_display_glfw_is_told_each_time_and_nothing_aborts():
     code = """
-from bson.env import BsonEnv
+from bson.interfaces.gym import BsonEnv
 for _ in range(2):
     try:
         BsonEnv(sensor="camera", num_pedestrians=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bson.episodes.record import Episode
-from bson.metrics import GROUPS, METRICS, PARTS, measure, spread_by_score, summarise, time_to_collision
+from bson.evaluation.metrics import GROUPS, METRICS, PARTS, measure, spread_by_score, summarise, time_to_collision
 
 TOUCH = 0.31 + 0.35  # between the centres of robot and person, as discs [m]
 

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bson.agents import load_agent
-from bson.compare import compare, format_comparison, make_page
-from bson.evaluate import results, run_episodes
-from bson.heatmap import Scale, Tile, cell_maps
-from bson.leaderboard import BEGIN, END, fill_readme, leaderboard
-from bson.page import image, new_figure, video
-from bson.report import make_report
-from bson.results import Results
-from bson.suites import Cell
+from bson.episodes.tracks import make_track
+from bson.evaluation.play import results, run_episodes
+from bson.evaluation.results import Results
+from bson.evaluation.suites import Cell
+from bson.reporting.compare import compare, format_comparison, make_page
+from bson.reporting.heatmap import Scale, Tile, cell_maps
+from bson.reporting.leaderboard import BEGIN, END, fill_readme, leaderboard
+from bson.reporting.page import image, new_figure, video
+from bson.reporting.report import make_report
 from bson.task import TaskConfig
-from bson.tracks import make_track
 
 _CONFIG = TaskConfig(num_pedestrians=3, map_size=20.0, goal_distance=(6.0, 12.0), horizon=20)
 

@@ -14,7 +14,7 @@ import pytest
 import reproduce_tables as tables
 
 from bson import cli as bson_cli
-from bson.suites import load_suite
+from bson.evaluation.suites import load_suite
 from macid import assets
 from macid import cli as macid_cli
 from macid.layout import LEVELS, OTHER_LEVELS

@@ -3,15 +3,15 @@ import re
 import pytest
 from markupsafe import Markup
 
-from bson import report
 from bson.agents import load_agent
-from bson.evaluate import results, run_episodes
-from bson.heatmap import Scale, Tile, cell_maps
-from bson.page import numbers
-from bson.report import grade_settings, make_report
-from bson.suites import Cell, load_suite
+from bson.episodes.tracks import make_track
+from bson.evaluation.play import results, run_episodes
+from bson.evaluation.suites import Cell, load_suite
+from bson.reporting import report
+from bson.reporting.heatmap import Scale, Tile, cell_maps
+from bson.reporting.page import numbers
+from bson.reporting.report import grade_settings, make_report
 from bson.task import TaskConfig
-from bson.tracks import make_track
 
 SMALL = TaskConfig(num_pedestrians=3, map_size=20.0, goal_distance=(6.0, 12.0), horizon=40)
 AXES = {"obstacles": ("open", "maze"), "people": ("few", "many"), "temper": ("wild", "meek")}

@@ -10,11 +10,11 @@ import pytest
 
 from bson import cli
 from bson.agents import load_agent
-from bson.evaluate import pair, run_episodes
-from bson.resume import Unfinished, basis
-from bson.suites import Cell
+from bson.episodes.tracks import make_track
+from bson.evaluation.play import pair, run_episodes
+from bson.evaluation.store import Unfinished, basis
+from bson.evaluation.suites import Cell
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid.files import UsageError
 
 CONFIG = TaskConfig(num_pedestrians=2, map_size=20.0, goal_distance=(6.0, 15.0), horizon=4, pedestrian_model="orca")

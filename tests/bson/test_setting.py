@@ -13,12 +13,12 @@ from bson.agents.global_view import GlobalView
 from bson.agents.scan import Scan
 from bson.agents.vfh import Vfh
 from bson.episodes.session import Session
-from bson.evaluate import run_episodes
+from bson.episodes.tracks import make_track
+from bson.evaluation.play import run_episodes
 from bson.features import FEATURES, motion
 from bson.robot import JACKAL
 from bson.sensors import Imu, Lidar2D
 from bson.task import TaskConfig
-from bson.tracks import make_track
 from macid import geometry
 from macid.policy import write_network
 from macid.state import RADIUS

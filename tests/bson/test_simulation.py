@@ -11,14 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from bson.env import BsonEnv, BsonVectorEnv
 from bson.episodes.record import Episode, Recorder
 from bson.episodes.session import Session
+from bson.episodes.tracks import SENSORS, TRACKS, LocalTrack, make_track
+from bson.interfaces.gym import BsonEnv, BsonVectorEnv
 from bson.sensors import Imu, Lidar2D
 from bson.simulation.data import INFO, MAP_RESOLUTION, QUANTITIES
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import SENSORS, TRACKS, LocalTrack, make_track
 from macid.geometry import norm
 
 SMALL = {"num_pedestrians": 5, "map_size": 20.0, "goal_distance": (6.0, 15.0)}
@@ -248,8 +248,11 @@ def test_infos_of_vector_environments_are_the_same_rows():
     [
         ("from bson.task import TaskConfig; TaskConfig()", ("jax", "torch")),
         ("import mujoco; mujoco.MjSpec = mujoco.MjModel = None; import bson.robot", ("jax", "torch")),  # no model
-        ("import bson.metrics, bson.episodes.record", ("jax", "mujoco", "scipy", "torch")),
-        ("import bson.compare, bson.leaderboard, bson.results", ("jax", "mujoco", "scipy", "torch")),
+        ("import bson.evaluation.metrics, bson.episodes.record", ("jax", "mujoco", "scipy", "torch")),
+        (
+            "import bson.reporting.compare, bson.reporting.leaderboard, bson.evaluation.results",
+            ("jax", "mujoco", "scipy", "torch"),
+        ),
     ],
 )
 def test_pure_modules_stay_light(code, absent):

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bson.suites import load_suite, suite_names
+from bson.evaluation.suites import load_suite, suite_names
 from bson.task import TaskConfig, spawn
 from macid import assets
 

@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from bson.agents import learned
+from bson.evaluation.suites import load_suite
 from bson.features import FEATURES
 from bson.learning.train import PRESETS
-from bson.suites import load_suite
 from macid.learning.curves import plain
 from macid.policy import write_network
 

@@ -4,7 +4,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bson.suites import Cell
+from bson.evaluation.suites import Cell
 from bson.task import TaskConfig, spawn
 from macid import geometry
 from macid.layout import NoFreeSpace

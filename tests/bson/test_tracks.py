@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 
 from bson.episodes.session import Session
+from bson.episodes.tracks import SENSORS, TRACKS, make_track
 from bson.sensors import Lidar2D
 from bson.task import TaskConfig
-from bson.tracks import SENSORS, TRACKS, make_track
 from macid.geometry import point_box_distance, rotate
 
 FEW = TaskConfig(num_pedestrians=4, map_size=20.0, goal_distance=(5.0, 18.0), obstacle_density=0.5)

@@ -7,11 +7,11 @@ import pytest
 
 from bson.agents import load_agent
 from bson.agents.vfh import Vfh
-from bson.evaluate import run_episodes
-from bson.metrics import sns
+from bson.episodes.tracks import make_track
+from bson.evaluation.metrics import sns
+from bson.evaluation.play import run_episodes
 from bson.sensors import Lidar2D
 from bson.task import TaskConfig
-from bson.tracks import make_track
 
 LIDAR = Lidar2D()
 MOUNT = 0.12  # of the LIDAR ahead of the robot's centre [m]

@@ -29,7 +29,8 @@ def run(site, code):
 
 def test_an_installed_wheel_finds_its_assets_and_steps(installed):
     code = (
-        "import gymnasium, bson, macid.assets; print(macid.assets.root()); from bson.suites import suite_names;"
+        "import gymnasium, bson, macid.assets; print(macid.assets.root());"
+        "from bson.evaluation.suites import suite_names;"
         "print(suite_names()); from macid.layout import load_level; print(load_level(4).pedestrians);"
         "env = gymnasium.make('BSON/LocalLidar2D-v0', num_pedestrians=2); env.reset(seed=0);"
         "env.step(env.action_space.sample()); print('stepped')"
@@ -41,11 +42,12 @@ def test_an_installed_wheel_finds_its_assets_and_steps(installed):
 
 def test_an_installed_wheel_makes_pages(installed):
     code = (
-        "from bson.heatmap import Scale, Tile, cell_maps;"
+        "from bson.reporting.heatmap import Scale, Tile, cell_maps;"
         "print(cell_maps([Tile({'axis': '<b>'}, 0.5, 0.1, 0.9)], Scale(0.0, 1.0), 'heading'))"
     )
     assert "&lt;b&gt;" in run(installed, code)
-    templates = [{path.name for path in (root / "bson" / "templates").iterdir()} for root in (ROOT, installed)]
+    folders = [root / "bson" / "reporting" / "templates" for root in (ROOT, installed)]
+    templates = [{path.name for path in folder.iterdir()} for folder in folders]
     assert templates[0] == templates[1]
     assert {"report.html", "compare.html", "page.css"} <= templates[1]
 

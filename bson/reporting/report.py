@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from bson.episodes.record import Episode
-from bson.heatmap import Scale, Tile, cell_maps
-from bson.metrics import GROUPS, metrics_of, spread_by_score
-from bson.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
+from bson.evaluation.metrics import GROUPS, metrics_of, spread_by_score
+from bson.reporting.heatmap import Scale, Tile, cell_maps
+from bson.reporting.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
 
 # (metric, heading, unit, decimals, what it is) of the cards and the tables of cells and episodes
 _SHOWN = (

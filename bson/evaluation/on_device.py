@@ -1,9 +1,9 @@
-"""Whole episodes on a device, for scoring: agents that are JAX functions, all episodes at once, `bson.metrics.Episode`s
-out.
+"""Whole episodes on a device, for scoring: agents that are JAX functions, all episodes at once,
+`bson.evaluation.metrics.Episode`s out.
 
-An agent is an object with `track` and `sensor`, as for `bson.env.BsonEnv`, and two pure functions of observations with
-a leading axis: `begin(observation) -> memory` at the start, and `act(memory, observation) -> (actions (N, 2), memory)`,
-also at the start.
+An agent is an object with `track` and `sensor`, as for `bson.interfaces.gym.BsonEnv`, and two pure functions of
+observations with a leading axis: `begin(observation) -> memory` at the start, and `act(memory, observation) -> (actions
+(N, 2), memory)`, also at the start.
 """
 
 from collections.abc import Callable, Sequence

@@ -11,10 +11,10 @@ import numpy as np
 from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.episodes.record import Episode, Recorder
 from bson.episodes.session import Session
-from bson.metrics import METRICS, Metric, measure, metrics_of, summarise
+from bson.episodes.tracks import LocalTrack
+from bson.evaluation.metrics import METRICS, Metric, measure, metrics_of, summarise
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from bson.tracks import LocalTrack
 from macid import files
 
 BATCH = 16  # worlds at once

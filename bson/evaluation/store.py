@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from bson.episodes.record import Episode
-from bson.evaluate import versions
-from bson.tracks import make_track, sensor_settings
+from bson.episodes.tracks import make_track, sensor_settings
+from bson.evaluation.play import versions
 from macid import assets
 from macid.documents import parse, read_bytes
 from macid.files import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bson.page import numbers, render
+from bson.reporting.page import numbers, render
 
 _WORSE, _MIDDLE, _BETTER = np.array([[188, 74, 48], [250, 240, 215], [22, 108, 140]])  # safe for the colour-blind
 

@@ -11,9 +11,9 @@ from gymnasium.vector import AutoresetMode
 
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
+from bson.episodes.tracks import make_track, sensor_documents
 from bson.simulation.world import World, check_worlds
 from bson.task import TaskConfig
-from bson.tracks import make_track, sensor_documents
 from macid.documents import shown
 
 ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -265,7 +265,7 @@ class BsonEnv(Specified, gymnasium.Env):
         """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
         if self.render_mode is None or self._recorder is None:
             return None
-        from bson.film import Film
+        from bson.episodes.film import Film
 
         if self._film is None:
             self._film = Film(self.world.scene)

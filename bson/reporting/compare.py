@@ -8,10 +8,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from bson.heatmap import Scale, Tile, cell_maps
-from bson.metrics import GROUPS, METRICS, TAKEN, metrics_of, summarise
-from bson.page import BETTER, DASH, numbers, plural, render
-from bson.results import Results
+from bson.evaluation.metrics import GROUPS, METRICS, TAKEN, metrics_of, summarise
+from bson.evaluation.results import Results
+from bson.reporting.heatmap import Scale, Tile, cell_maps
+from bson.reporting.page import BETTER, DASH, numbers, plural, render
 from macid.documents import shown
 
 MAIN = (
@@ -25,7 +25,7 @@ LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance
 def check_comparable(runs: Sequence[Results]) -> None:
     """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting.
 
-    runs: bson.results.Results.
+    runs: bson.evaluation.results.Results.
     """
     first = runs[0]
     for run in runs[1:]:

@@ -212,7 +212,8 @@ def _own(found, name):
     if not isinstance(found, Metric):
         if not callable(found):
             raise UsageError(
-                f"Metric '{name}' must be a function of an Episode, or a bson.metrics.Metric, not {shown(found)}."
+                f"Metric '{name}' must be a function of an Episode, or a bson.evaluation.metrics.Metric, not "
+                f"{shown(found)}."
             )
         called = getattr(found, "__name__", type(found).__name__)
         what = " ".join((found.__doc__ or "a metric of one's own").split())

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from bson.metrics import METRICS, TAKEN, metrics_of
+from bson.evaluation.metrics import METRICS, TAKEN, metrics_of
 from macid.documents import convert, is_number, parse, read_bytes, shown
 from macid.files import UsageError, write_json
 
@@ -152,8 +152,9 @@ class Results:
 
     @functools.cached_property
     def metrics(self) -> dict[str, np.ndarray]:
-        """{metric: (E,) float64, its value in each episode}, in the units of bson.metrics.METRICS; infinity where there
-        is no such thing, as a distance to people where there are none. Without those that an older file lacks."""
+        """{metric: (E,) float64, its value in each episode}, in the units of bson.evaluation.metrics.METRICS; infinity
+        where there is no such thing, as a distance to people where there are none. Without those that an older file
+        lacks."""
         rows = self.content["episodes"]
         names = [metric.name for metric in metrics_of(self.content) if all(metric.name in row for row in rows)]
         return {name: np.array([_value(row[name]) for row in rows], dtype=float) for name in names}

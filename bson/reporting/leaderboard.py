@@ -4,9 +4,9 @@ import pathlib
 import shlex
 from collections.abc import Sequence
 
-from bson.compare import check_comparable
-from bson.page import plural
-from bson.results import Results
+from bson.evaluation.results import Results
+from bson.reporting.compare import check_comparable
+from bson.reporting.page import plural
 from macid.documents import read_bytes
 from macid.files import UsageError, check_file, named, write_bytes
 

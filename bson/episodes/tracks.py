@@ -105,7 +105,8 @@ KEYS = {*RESERVED, *(sensor.key for sensors in SENSORS.values() for sensor in se
 def _own_track(found, name):
     """Somebody's own track: a class made of sensors, as LocalTrack is."""
     if not (isinstance(found, type) and issubclass(found, LocalTrack)):
-        raise UsageError(f"Track '{name}' must be a class derived from bson.tracks.LocalTrack, not {shown(found)}.")
+        wanted = "a class derived from bson.episodes.tracks.LocalTrack"
+        raise UsageError(f"Track '{name}' must be {wanted}, not {shown(found)}.")
     return found
 
 
