@@ -2,13 +2,16 @@
 
 import dataclasses
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bson.episodes.effects import find_effects
-from bson.episodes.session import Session
 from bson.simulation.data import QUANTITIES
-from macid.layout import Layout
+
+if TYPE_CHECKING:  # they load MuJoCo, which comparing results does without
+    from bson.episodes.session import Session
+    from macid.layout import Layout
 
 _EACH = {quantity.each: quantity for quantity in QUANTITIES if quantity.each}  # by their names in an Episode
 _LAST = {quantity.last: quantity for quantity in QUANTITIES if quantity.last}
@@ -71,7 +74,7 @@ Episode.__doc__ = (
 class Recorder:
     """Writes down the episode of one world of a session, from its reset on: `snap()` after the reset and each step."""
 
-    def __init__(self, session: Session, index: int):
+    def __init__(self, session: "Session", index: int):
         self._world, self._index = session.world, index
         self._rows = {name: [] for name in _EACH}
         self._people_goals = self._world.destinations(index)
@@ -102,7 +105,7 @@ class Recorder:
         return shortest_way(world.layouts[index], start, world.goal[index], radius)
 
 
-def shortest_way(layout: Layout, start: np.ndarray, goal: np.ndarray, radius: float) -> float:
+def shortest_way(layout: "Layout", start: np.ndarray, goal: np.ndarray, radius: float) -> float:
     """Length [m] of the router's shortest way on `layout` from `start` to `goal` (2,) for a robot of `radius` [m], or
     of the straight one where it finds none."""
     from macid.routing import Router  # metrics, which know Episodes, do without
