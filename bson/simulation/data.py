@@ -56,7 +56,7 @@ QUANTITIES = (
     Quantity("collisions_person", (), int, "steps of 0.02 s", "", "steps in which it touched a person",
              info=True, last="collisions_person"),
     Quantity("collisions_robot_on_person", (), int, "steps of 0.02 s", "",
-             "of those: steps in which it moved towards a person that it touched, at more than 0.05 m/s",
+             "of those: it moved towards the person at more than 0.05 m/s",
              info=True, last="collisions_robot_on_person"),
     Quantity("collisions_obstacle", (), int, "steps of 0.02 s", "", "steps in which it touched an obstacle",
              info=True, last="collisions_obstacle"),
