@@ -150,7 +150,7 @@ class BsonEnv(Specified, gymnasium.Env):
     | velocity | (2,) | speed ahead, yaw rate | robot, m/s and rad/s |
     | imu | (6,) | specific force x, y, z; angular velocity x, y, z | robot, m/s2 and rad/s |
     | lidar | (720,) | (Lidar2D) distances, -135 degrees (right) to +135 (left); 30 m: nothing is hit | robot, m |
-    | lidar3d | (16, 360) | (Lidar3D) rows -15 to +15 degrees, columns from behind over right; 100 m: nothing hit | robot, m |
+    | lidar3d | (16, 360) | (Lidar3D) rows -15 to +15 degrees, columns: behind over right; 100 m: no hit | robot, m |
     | rgb | (120, 160, 3) | (Camera) uint8, the view ahead | - |
     | depth | (120, 160) | (Camera) distance along the camera's axis, 0.3 to 10 m | camera, m |
 
