@@ -4,4 +4,4 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 EXTRAS=${EXTRAS:-test,agents,lint} tools/setup.sh
 .venv/bin/ruff check bson macid tests tools
-.venv/bin/basedpyright
+.venv/bin/basedpyright --project pyproject.toml
