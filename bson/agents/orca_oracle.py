@@ -130,8 +130,7 @@ class OrcaOracle:
 
 
 def _nearest(rows, distance, count):
-    """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with rows of zeros that are out of
-    reach."""
+    """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with rows that are out of reach."""
     nearest = rows[np.argsort(distance, kind="stable")[:count]]
     missing = np.zeros((count - len(nearest), rows.shape[1]))
     missing[:, :2] = parking_place(np.arange(len(missing)))
