@@ -37,7 +37,7 @@ class State(NamedTuple):
     travelled: Any
     counts: Any  #: (5,) int32, in the order of COLLISIONS
     fault: Any  #: bool: physics failed; the world stays as it was
-    overflow: Any  #: int32: not 0 where the engine had no room for a contact (WarpEngine.explain); the episode is then worthless
+    overflow: Any  #: int32: not 0 where contacts had no room (WarpEngine.explain); the episode is then worthless
     pose: Any
     velocity: Any
     distance: Any
