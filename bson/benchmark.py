@@ -1,5 +1,4 @@
-"""The benchmark for Python: what the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` do, as
-calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` as calls.
 
     from bson import benchmark
 

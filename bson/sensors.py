@@ -139,7 +139,7 @@ class Mounted(Sensor):
     """A sensor with a place on the robot.
 
     position: x, y, z [m] in the frame of the robot's body; None: at the robot's site named `site`. yaw [rad]:
-    counter-clockwise from the robot's x axis; pitch [rad]: after it, downwards.
+    counter-clockwise from the robot's x axis; pitch [rad]: downwards, after the yaw.
     """
 
     site: str
@@ -205,7 +205,7 @@ class Ranging(Mounted):
 
     @property
     def directions(self) -> np.ndarray:
-        """Vectors (..., 3) in the sensor's frame; each has the length along its ray that reads as 1 m."""
+        """Vectors (..., 3) in the sensor's frame, each from the sensor to a point that reads 1 m."""
         raise NotImplementedError
 
     @property
@@ -220,7 +220,7 @@ class Ranging(Mounted):
         return reading[met][:, None] * self.directions[met]
 
     def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """`reading` with noise on every distance that met something."""
+        """`reading` with noise on every distance at which something was met."""
         error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma)
         return np.where(reading < self.range_max, self._within(reading + error * self._growth(reading)), reading)
 
@@ -446,7 +446,7 @@ class RgbCamera(Camera):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DepthCamera(Camera, Ranging):  # in this order: the camera's site, not Ranging's, holds
+class DepthCamera(Camera, Ranging):  # in this order, so that the camera's site holds
     """A depth camera. Reading: (height, width) float32 [m], along the optical axis, not along the pixel's ray.
 
     A pixel that meets nothing within range_max reads range_max, and no reading is below range_min. By default the

@@ -1,4 +1,4 @@
-"""Agents: whatever turns an observation into an action.
+"""Agents, which turn observations into actions.
 
 An agent is a function `agent(observation) -> action`, or a class whose objects are such functions. A class is
 instantiated once a world. If its constructor has an argument `setting`, or one argument without a default, it is given

@@ -23,7 +23,7 @@ _OURS = (__file__, str(pathlib.Path(__file__).with_name("__init__.py")))
 
 
 class AgentError(UsageError):
-    """An agent can't be found, or did what no agent may do."""
+    """An agent can't be found, or broke the contract of agents."""
 
 
 class AgentFailed(AgentError, Failed):
@@ -79,7 +79,7 @@ class Setting:
 
     @property
     def top(self) -> np.ndarray:
-        """(2,): what an action of 1 stands for [m/s, rad/s]."""
+        """The command (2,) that an action of 1 stands for [m/s, rad/s]."""
         return np.array([self.robot.max_speed, self.robot.max_yaw_rate])
 
     @property

@@ -1,4 +1,4 @@
-"""The 2D LIDAR as agents read it, wherever on the robot it is and whatever its beams."""
+"""The 2D LIDAR for agents, at any place on the robot and with any beams."""
 
 import math
 from collections.abc import Mapping

@@ -247,8 +247,8 @@ METRIC_KIND: Kind[Metric] = Kind("metric", {metric.name: metric for metric in ME
 
 
 def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
-    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is
-    wrong."""
+    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming the
+    fault."""
     found = [METRIC_KIND.own_object(name) for name in names]
     called = [metric.name for metric in found]
     if twice := {name for name in called if called.count(name) > 1}:

@@ -171,7 +171,7 @@ class BsonEnv(Specified, gymnasium.Env):
     It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps, or where physics fails.
 
     ## Info
-    All that the metrics need. No observation shows what failed.
+    The quantities that the metrics need. Where physics fails, the observation is the last good one.
 
     | key | shape | what | frame, unit |
     |---|---|---|---|

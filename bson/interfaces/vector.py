@@ -160,7 +160,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
 
 def _one_seed(seed):
-    """`seed` as an int, or None. Raises ValueError for what is no seed."""
+    """`seed` as an int, or None. Raises ValueError for anything else."""
     check_seed(seed)
     if seed is not None and np.ndim(seed):
         raise ValueError("The engine 'warp' takes one seed: its episodes have that, and those that follow.")

@@ -172,8 +172,8 @@ class DevicePpo:
         return x, mean + jnp.exp(log_std) * z, ppo.gaussian_log_density(z, log_std)
 
     def _step(self, parameters, episodes, stream, key):
-        """One control step of all worlds: the Stream after it, the samples to learn from, and the sums of figures over
-        the episodes that ended."""
+        """One control step of all worlds: the Stream after it, the samples to learn from, the number of episodes that
+        ended, and the sums of their figures."""
         x, action, log_probability = self._act(parameters, stream, key)
         value = network(parameters["value"], x)[..., 0]
         carry, outcome = self.worlds.step(stream.carry, action, episodes)

@@ -59,7 +59,7 @@ def plan(
     columns), at least 0, as of `social_cost`. rng: the random numbers of the trees, a numpy Generator or a seed; None:
     seed 0. config: the planner's own (AStarConfig, ...); None: its defaults. known: a path (N, 2) [m] that the trees
     begin with, as far as it is free, such as the rest of the last path (anytime RRT*: Karaman et al., ICRA 2011). If
-    the known path leads to the goal, RRT returns it, and the other trees find none that is worse. Raises NoPath where
+    the known path leads to the goal, RRT returns it, and the other trees return no worse path. Raises NoPath where
     there is no path or none was found. Raises ValueError where start or goal is off the map or in an obstacle
     (`Grid.nearest_free` helps), and for a faulty planner, cost map, config or path.
     """

@@ -15,7 +15,7 @@ _WORSE, _MIDDLE, _BETTER = np.array([[188, 74, 48], [250, 240, 215], [22, 108, 1
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """A metric's scale: its ends, which way is better ("up" or "down"), and whether it is that of log(1 + value)."""
+    """A metric's scale: its ends, which way is better ("up" or "down"), and whether it is log(1 + value)."""
 
     low: float
     high: float

@@ -55,7 +55,7 @@ class BatchedWorld:
     """The functions of a world of `config` with the sensors `mounted`, for `nworld` worlds that are stepped together
     under jax.vmap.
 
-    Raises ValueError for what doesn't fit together, UsageError without MJX-Warp.
+    Raises ValueError for arguments that don't fit together, UsageError without MJX-Warp.
     """
 
     def __init__(self, config: TaskConfig, mounted: Any = (), nworld: int = 1, engine: Any = None):

@@ -286,8 +286,8 @@ class World:
         pose (n, 3) of the robot, people (n, K, 3): x, y, yaw [m, m, rad], world frame; without a place they stay.
         velocity (n, 2) of the robot: ahead [m/s], yaw rate [rad/s]; people_velocity (n, K, 2) [m/s], world frame;
         without a velocity they are at rest. No way or contact is counted for the move; sensors read the new state.
-        Raises ValueError for other shapes and for what is not finite, gymnasium.error.ResetNeeded before a world's
-        first reset.
+        Raises ValueError for other shapes and for values that are not finite, gymnasium.error.ResetNeeded before a
+        world's first reset.
         """
         self._check_open()
         ids = np.asarray(ids, dtype=int)

@@ -80,7 +80,7 @@ PRESETS = {
         "episode": 1,
         "agent_steps": 50_000_000,
     },
-    # First of these values only the batch, the epochs and lambda; then the paper's for PPO. The rest is as in `fast`.
+    # Two sets with only the paper's batch, epochs and lambda: its method's, then its PPO's. The rest is as in `fast`.
     "paper-batch": {"ppo": learning.PpoConfig()},
     "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
@@ -323,7 +323,7 @@ class Trainer:
                 return state, after, steps_in_contact, pairs | contacts.touching_people(after.position)
 
             steps_in_contact = jnp.zeros(crowd.contact.shape, jnp.int32)
-            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # bool: who touched whom
+            pairs = jnp.zeros((*crowd.contact.shape, self.number), bool)  # who touched whom
             carried = repeat(substep, (state, crowd, steps_in_contact, pairs), substeps)
             state, after, steps_in_contact, pairs = carried
             before_distance = geometry.norm(goals - crowd.position)
