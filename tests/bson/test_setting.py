@@ -157,7 +157,7 @@ def test_a_scans_points_lie_on_the_walls(robot, lidar):
     x, y, yaw = session.world.pose[0]
     met = np.flatnonzero(reading < lidar.range_max - 1e-3)
     assert len(met) > 50
-    points = [*geometry.rotate(scan.points(reading, met), np.full(len(met), yaw)), x, y]
+    points = geometry.rotate(scan.points(reading, met), np.full(len(met), yaw)) + np.array([x, y])
     outline = geometry.point_box_distance(points, session.world.boxes[0]).min(axis=-1)
     assert outline.max() < 2e-3
     for box in session.world.boxes[0]:  # and in none
