@@ -10,7 +10,7 @@ ENVIRONMENTS = {  # id: the track and the sensor (bson.episodes.tracks)
     for name in ("Lidar2D", "Lidar3D", "Camera")
 }
 
-for _id, _kwargs in ENVIRONMENTS.items():  # by name: MuJoCo and JAX are loaded when one is made
+for _id, _kwargs in ENVIRONMENTS.items():  # by name, so that MuJoCo and JAX are loaded only when an environment is made
     _gymnasium.register(
         _id, "bson.interfaces.gym:BsonEnv", vector_entry_point="bson.interfaces.by_engine:vector_env", kwargs=_kwargs
     )

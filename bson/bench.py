@@ -52,7 +52,7 @@ def measure_speed(config: TaskConfig, sensors: Sequence[Any], nworld: int, secon
     ids = np.arange(nworld)
     session.reset(ids, range(nworld))
     action = np.tile(_ACTION, (nworld, 1))
-    for _ in range(5):  # compile and warm up
+    for _ in range(5):  # compiles and warms up
         session.step(ids, action)
     watch = _Stopwatch(session.world.engine)
     session.world.engine = cast(Engine, watch)
@@ -118,7 +118,7 @@ def measure_learning(
     from bson.learning.vec_env import FeatureVecEnv
 
     class Timer(BaseCallback):
-        """Times rounds after the first ones, in which things are compiled."""
+        """Times all rounds but the first ones, in which JAX and torch compile."""
 
         def __init__(self):
             super().__init__()
@@ -153,7 +153,7 @@ def measure_learning(
     with one_thread():
         hyperparameters.build(env, seed=0).learn(10**12, callback=timer, log_interval=None)
     elapsed = timer.elapsed
-    assert elapsed is not None  # learning ends once it is known
+    assert elapsed is not None  # set before learning ends
     return (timer.steps - timer.first) / elapsed, 1.0 - timer.collecting / elapsed, watch.seconds / elapsed
 
 

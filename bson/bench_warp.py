@@ -1,4 +1,4 @@
-"""How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, episodes that follow each
+"""How fast the robot's worlds step on a device: MJX-Warp's engine, whole control steps, and episodes that follow each
 other."""
 
 import dataclasses
@@ -16,7 +16,7 @@ SENSORS = ("none", "lidar2d", "lidar3d", "camera")
 PEOPLE, WORLDS = (24,), (1024, 4096)
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 _CHUNK = 10  # control steps that the host asks for at once
-_LONGEST = 600.0  # that a case of its own process may take [s]
+_LONGEST = 600.0  # time that a case in its own process may take [s]
 
 
 def measure(
@@ -55,7 +55,7 @@ def measure(
         def one(carry, _):
             carry, outcome = fleet.step(carry, actions, episodes)
             seen = sum(jnp.sum(jnp.asarray(value, jnp.float32)) for value in outcome.observation.values())
-            return carry, (seen, outcome.reward.sum())  # so that nothing of a step is left out
+            return carry, (seen, outcome.reward.sum())  # returned so that the compiler leaves nothing of a step out
 
         return jax.lax.scan(one, carry, None, length=_CHUNK)
 
@@ -102,7 +102,7 @@ def measure_training(
     workers: int | None = None,
     **hyperparameters: Any,
 ) -> dict[str, Any]:
-    """As `measure`: control steps/s with 720 beams while PPO learns from them."""
+    """As `measure`, but control steps/s while PPO learns, with the LIDAR's 720 beams."""
     import jax
 
     from bson.learning.device_ppo import DevicePpo, DevicePpoConfig, DeviceTrainConfig
@@ -181,8 +181,8 @@ def run(
 ) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
-    train: measure PPO that learns. Each case has a process of its own, so that none meets what another has compiled.
-    Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
+    train: measure PPO while it learns. Each case has a process of its own, so that no case finds programs that another
+    compiled. Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
     """
     for sensor in sensors:
         if sensor not in SENSORS:
@@ -214,7 +214,7 @@ def _apart(case, train=False):
 
 
 def _main(engine, *cases):
-    """WarpConfig's fields, and cases, of JSON; prints the row of each as one line of JSON."""
+    """Measures `cases`, each in JSON like `engine`, the fields of WarpConfig; prints each row as one line of JSON."""
     for case in map(json.loads, cases):
         case["engine"] = {**json.loads(engine), **case.get("engine", {})}
         measured = measure_training if case.pop("train", False) else measure_score if "score" in case else measure

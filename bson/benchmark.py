@@ -1,13 +1,12 @@
-"""The benchmark for Python: what the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` do, as
-calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` as calls.
 
     from bson import benchmark
 
     results = benchmark.evaluate(agent, "smoke", out="results/mine")
     results.metrics["SNS"]  # (episodes,), see bson.evaluation.results.Results
 
-Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. What is heavy is loaded
-when it is needed: comparing results loads neither JAX nor MuJoCo.
+Errors that a user can mend are ValueErrors of one line, most of them macid.files.UsageError. Heavy modules are loaded
+when they are needed: comparing results loads neither JAX nor MuJoCo.
 """
 
 import contextlib
@@ -63,18 +62,18 @@ def evaluate(
 
     agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
     (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
-    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds, else another set of the kind.
-    track, sensor: as of bson.episodes.tracks.make_track (default: what the agent wants). overrides: fields of
-    TaskConfig that are changed. paired: also plays each episode without the robot. metrics: of one's own, each
-    `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: how many films. resume: goes on with
-    what was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or
-    "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies. command: what
-    `results.json` says that it was made by. told: called with the Results once these are written, before anything is
-    filmed. quiet: no progress on stderr.
+    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds; another number for another set of
+    seeds of the same kind. track, sensor: as for bson.episodes.tracks.make_track (default: what the agent wants).
+    overrides: fields of TaskConfig that are changed. paired: also plays each episode without the robot. metrics: the
+    user's own metrics, each `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: the number
+    of films. resume: goes on with the evaluation that was cut short in `out`. executor, ray_address, workers: see
+    macid.executors.make_executor. engine: "native", or "warp", which plays all episodes of a cell at once on a device,
+    for agents that are learned policies. command: the command that `results.json` names as its origin. told: called
+    with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
 
-    Results are the same bit for bit with any executor and any number of workers; those of the engine "warp" agree with
-    them to a tolerance. Raises UsageError or another
-    ValueError, of one line, before anything is written where the request can't be met.
+    Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
+    with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
+    before anything is written.
     """
     from bson.agents import agent_label, check_settings, load_agent
     from bson.episodes.tracks import make_track, sensor_label, sensor_settings
@@ -149,7 +148,7 @@ def evaluate(
             if told:
                 told(found)
             return found
-        # What an earlier run left here does not belong to these results.
+        # Films that an earlier run left here do not belong to these results.
         remove_leftovers(folder / "videos")
         for stale in (folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
             if not stale.is_symlink():
@@ -161,7 +160,7 @@ def evaluate(
         films, why_not = _films(played, cells, seen, folder / "videos", videos, name, quiet)
         report = make_report(content, [e for each in played for e in each], films, why_not)
         write_bytes(folder / "report.html", report.encode())
-        assert unfinished is not None  # as there is a folder
+        assert unfinished is not None  # as `out` is a folder
         unfinished.discard()
     return dataclasses.replace(
         found, written=(folder / "results.json", folder / "report.html", *(path for path, _ in films))
@@ -169,7 +168,7 @@ def evaluate(
 
 
 def _evaluation_folder(out):
-    """`out` as a Path, if all that an evaluation writes can be written there. Raises UsageError."""
+    """`out` as a Path, if an evaluation can write all its files there. Raises UsageError."""
     folder = check_folder(out)
     for file in (folder / "results.json", folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
         check_file(file)
@@ -178,7 +177,7 @@ def _evaluation_folder(out):
 
 
 def _check_spawn(config, seeds):
-    """Draws the episodes `seeds`, so that a map without room is told before anything runs."""
+    """Draws the episodes `seeds`, so that a map without room is refused before anything runs."""
     import numpy as np
 
     from bson.task import spawn
@@ -189,7 +188,7 @@ def _check_spawn(config, seeds):
 
 @contextlib.contextmanager
 def _bar(name, several, quiet, cell, without_robot, total, done):
-    """A progress bar on stderr, as the `watch` of play_cells."""
+    """A progress bar on stderr, for the argument `watch` of play_cells."""
     from tqdm import tqdm
 
     told = f"{name}: {cell}" if several and cell is not None else name
@@ -210,10 +209,10 @@ def _bar(name, several, quiet, cell, without_robot, total, done):
 
 
 def to_film(played: Sequence[Sequence[Episode]], number: int) -> list[tuple[int, Episode, str]]:
-    """Which episodes to film, as (the cell's place, the episode, what to tell of it).
+    """The episodes to film, each as (the cell's place, the episode, a description of it).
 
-    played: the episodes of each cell. Of one cell `number` episodes, evenly from the worst SNS to the best; of several
-    the worst of each of the `number` worst cells, and the best of the best.
+    played: the episodes of each cell. With one cell: `number` of its episodes, evenly from the worst SNS to the best.
+    With several cells: the worst episode of each of the `number` worst cells, and the best episode of the best cell.
     """
     from bson.evaluation.metrics import sns, spread_by_score
 
@@ -235,7 +234,7 @@ def to_film(played: Sequence[Sequence[Episode]], number: int) -> list[tuple[int,
 
 
 def _films(played, cells, track, folder, number, name, quiet):
-    """Films episodes (see to_film); returns (path, caption) pairs and why there are none.
+    """Films episodes (see to_film); returns (path, caption) pairs, and the reason if there are none.
 
     played: the episodes of each of `cells`.
     """
@@ -265,7 +264,7 @@ def _films(played, cells, track, folder, number, name, quiet):
 
 
 def _loaded(results):
-    """Results, or those in a folder or a file of that name."""
+    """The Results given, or those read from the folder or file of that name."""
     return results if isinstance(results, Results) else Results.load(results)
 
 
@@ -290,10 +289,10 @@ def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.
 
 
 def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str | pathlib.Path | None = None) -> str:
-    """A metric over the cells of a suite, as the report has the SNS: an HTML page.
+    """A metric over the cells of a suite, drawn as the report draws the SNS: an HTML page.
 
-    results: as of `compare`, one. metric: a name of bson.evaluation.metrics.METRICS. out: an .html file for it. Raises
-    UsageError where the suite has one cell only, or the metric is unknown.
+    results: one item, as for `compare`. metric: a name of bson.evaluation.metrics.METRICS. out: an .html file to write.
+    Raises UsageError where the suite has one cell only, or the metric is unknown.
     """
     from bson.evaluation.metrics import METRICS
     from bson.reporting.heatmap import Scale, Tile, cell_maps
@@ -326,8 +325,8 @@ def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str
 def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 
-    results: as of `compare`. readme: a file into which it is also put, between its marks. Raises ValueError where
-    results of a suite are not of the same episodes.
+    results: as for `compare`. readme: a file that gets the tables too, between its marks. Raises ValueError where
+    results of one suite have different episodes.
     """
     from bson.reporting.leaderboard import fill_readme, leaderboard
 
@@ -351,8 +350,8 @@ def film(
 ) -> pathlib.Path:
     """Films the episode `seed` of an agent, as `bson render` does; returns the path.
 
-    out: a .webm film, or a .png picture of the control step `step` (default: halfway; -1 is the last). The rest as of
-    `evaluate`. Raises UsageError, before anything is played where the request can't be met.
+    out: a .webm film, or a .png picture of the control step `step` (default: halfway; -1 is the last). The other
+    arguments are as for `evaluate`. Where the request can't be met, raises UsageError before anything is played.
     """
     from bson.agents import agent_label, check_settings, load_agent
     from bson.episodes import film
@@ -396,7 +395,7 @@ def film(
 
 @contextlib.contextmanager
 def agents_extra() -> Iterator[None]:
-    """Tells what to install where the extra `agents` is missing."""
+    """Where the extra `agents` is missing, raises an error that tells what to install."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -422,10 +421,11 @@ def train(
     """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
     - 1.
 
-    algo: of bson.learning.train.ALGORITHMS, or one's own, `file.py:class`; preset: of PRESETS. steps: of all worlds.
-    worlds: at once. overrides: fields of TaskConfig that are changed. resume: goes on from checkpoints. executor,
-    ray_address, workers: see macid.executors.make_executor; elsewhere the seeds are trained side by side. Raises
-    UsageError, also where the extra `agents` is missing.
+    algo: a name of bson.learning.train.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS. steps:
+    control steps of all worlds together. worlds: how many are stepped at once. overrides: fields of TaskConfig that are
+    changed. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor; an
+    executor with several workers trains the seeds side by side. Raises UsageError, also where the extra `agents` is
+    missing.
     """
     with agents_extra():
         from bson.learning.train import TrainConfig, hyperparameters
@@ -447,7 +447,7 @@ def train_configs(
     ray_address: str | None = None,
     workers: int | None = None,
 ) -> list[pathlib.Path]:
-    """As `train`, of any TrainConfigs."""
+    """As `train`, for a list of TrainConfigs."""
     with agents_extra():
         from bson.learning import train as training
     from macid import start

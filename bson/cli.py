@@ -58,7 +58,7 @@ def _overrides(pairs):
 
 
 def _literal(key, text):
-    """`text` as the Python literal that it is, of what JSON has, else as it is. Raises UsageError."""
+    """`text` as a Python literal, if it is one that JSON can hold; otherwise the text itself. Raises UsageError."""
     from macid.documents import shown
 
     try:
@@ -67,7 +67,7 @@ def _literal(key, text):
         return text
     except (RecursionError, MemoryError):
         raise UsageError(f"--set {key}: the value is nested too deeply: {shown(text)}.") from None
-    except TypeError as error:  # a list as a dict's key
+    except TypeError as error:  # such as a list for a dict's key
         raise UsageError(f"--set {key}: {shown(text)} is no value ({error}).") from None
     waiting = [value]
     while waiting:
@@ -81,12 +81,12 @@ def _literal(key, text):
     return value
 
 
-_PLACE = ("--resume",)  # flags that change nothing of the results, and those with a value
+_PLACE = ("--resume",)  # flags that don't change results: without a value here, with one below
 _PLACE_WITH = ("--executor", "--ray-address", "--workers")
 
 
 def _words(argv):
-    """The command line without what changes nothing of the results."""
+    """The command line without the flags that don't change results."""
     kept, skip = [], False
     for word in argv:
         if not skip and word not in _PLACE and word.partition("=")[0] not in _PLACE_WITH:
@@ -257,7 +257,7 @@ def _bench(args):
     }
     given = {name: value for name, value in given.items() if value is not None}
     for people in args.pedestrians or []:
-        TaskConfig(num_pedestrians=people)  # raises what is wrong with it
+        TaskConfig(num_pedestrians=people)  # raises where this number is not valid
     path = check_file(args.out, "file for --out") if args.out else None
     if args.engine == "warp":
         rows = _bench_warp(args, given)
@@ -491,7 +491,8 @@ _DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
 
 
 def main(argv: Sequence[str] | None = None) -> int | str | None:
-    """Entry point; returns the exit code. Without `argv`, it is the command of this process (see macid.start)."""
+    """Entry point; returns the exit code. Without `argv`, it runs the command line of this process (see
+    macid.start)."""
     if argv is None:
         return start.run("bson", start.bson_command)
 

@@ -33,7 +33,7 @@ def _import_dm_control():
     os.environ["MUJOCO_GL"] = "egl"
     try:
         return wanted()
-    except Exception:  # without EGL it fails in as many ways as there are incomplete graphics libraries
+    except Exception:  # an incomplete graphics library fails in many ways without EGL
         for name in [name for name in sys.modules if name.partition(".")[0] == "dm_control"]:
             del sys.modules[name]
         os.environ["MUJOCO_GL"] = "off"  # dm_control reads it when it is imported
@@ -43,13 +43,13 @@ def _import_dm_control():
 
 
 Physics, MjModel = _import_dm_control()
-close_before_all_else()  # dm_control has an EGL of its own, which it ends at exit
+close_before_all_else()  # dm_control has an EGL context of its own, which it ends at exit
 
 
 def load(track: str = "local", sensor: Any = "lidar2d", seed: int | None = None, **config: Any) -> "Environment":
     """The environment of a track and a sensor (as in `gymnasium.make`'s ids) and TaskConfig's fields `config`.
 
-    seed: of the first episode; later episodes' seeds come from it, as in `bson.interfaces.gym.BsonEnv`. Raises
+    seed: the first episode's; later episodes' seeds follow from it, as in `bson.interfaces.gym.BsonEnv`. Raises
     ValueError, naming the valid choices.
     """
     return Environment(TaskConfig().replace(**config), make_track(track, sensor), seed)
@@ -74,7 +74,7 @@ class Environment(Rebuilt, dm_env.Environment):
 
     def _make_physics(self):
         self.physics = Physics.from_model(MjModel(self.world.scene))
-        # The engine has computed the sensors already; its readings are copied.
+        # The engine has computed the sensors already; `physics` gets a copy of its readings.
         self.physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
 
     def __deepcopy__(self, memo):
@@ -87,7 +87,7 @@ class Environment(Rebuilt, dm_env.Environment):
         return made
 
     def close(self) -> None:
-        """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
+        """Frees all resources; closing twice does no harm. After it the environment can't be stepped or reset."""
         if self.physics is not None:
             self.physics.free()
         self.physics = None
@@ -95,7 +95,7 @@ class Environment(Rebuilt, dm_env.Environment):
 
     @property
     def world(self) -> World:
-        """The World (nworld = 1), for whoever needs more than the observation."""
+        """The World (nworld = 1), for callers that need more than the observation."""
         return self._session.world
 
     def reset(self) -> dm_env.TimeStep:

@@ -1,4 +1,4 @@
-"""Is this installation well? Versions, GL, threads, sensors, and how to mend what is missing.
+"""Checks this installation: versions, GL, threads, sensors. Says how to mend each fault.
 
 This file runs without the package `bson` too, where another package has taken its name (see macid.start).
 """
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from macid import start
 from macid.files import run_command, start_mujoco
 
-_PATIENCE = 120  # for the process that tries to draw [s]
+_PATIENCE = 120  # time for the process that tries to draw [s]
 
 
 def _versions():
@@ -46,7 +46,7 @@ def _namesakes():
 
 
 def _packages():
-    with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # MJX remarks that it has no Warp
+    with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # MJX prints a remark that Warp is missing
         importlib.import_module("mujoco.mjx")
     for name in ("mujoco", "dm_control", "jax", "gymnasium", "cv2", "matplotlib", "jinja2", "scipy", "tqdm"):
         importlib.import_module(name)
@@ -89,7 +89,8 @@ def _gl():
 
 @functools.cache
 def _trial():
-    """Why a process of its own can't draw here, None where it can: some backends abort instead of raising errors."""
+    """Why drawing fails here, None where it works. A process of its own tries, as some backends abort instead of
+    raising errors."""
     root = os.path.dirname(os.path.dirname(os.path.abspath(start.__file__)))
     code = f"import sys; sys.path.insert(0, {root!r}); from macid.drawing import gl_problem; print(gl_problem() or '')"
     chosen = f"with MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}"
@@ -104,8 +105,7 @@ def _trial():
 
 
 def _read(cameras):
-    """Takes one reading of each sensor: of the cameras, or of the others. Raises RuntimeError where it can't be
-    right."""
+    """Takes one reading of each camera, or of each other sensor. Raises RuntimeError where a reading can't be right."""
     import numpy as np
 
     from bson.episodes.tracks import SENSORS
@@ -121,7 +121,7 @@ def _read(cameras):
         reading = world.readings[sensor.key][0]
         if not sensor.space.contains(reading):
             raise RuntimeError(f"'{sensor.key}' reads what is not in its space")
-        if np.ptp(reading) == 0:  # in an empty room, too, walls, ground and gravity differ
+        if np.ptp(reading) == 0:  # even in an empty room walls, ground and gravity differ
             raise RuntimeError(f"'{sensor.key}' reads {reading.flat[0]:g} everywhere")
     return "a reading each of " + ", ".join(sensor.key for sensor in chosen)
 
@@ -138,7 +138,7 @@ def _cameras():
     return _read(cameras=True)
 
 
-# (what, check, whether nothing works without, how to mend it)
+# (name, check, whether nothing works while it fails, how to mend it)
 CHECKS = (
     ("python", _python, True, "install Python 3.11 or newer and run tools/setup.sh again"),
     ("name", _name, True, start.CURE),
@@ -152,11 +152,11 @@ CHECKS = (
     ("pictures", _gl, False, "apt-get install libegl1 libgl1-mesa-dri, and leave MUJOCO_GL unset or egl"),
     ("cameras", _cameras, False, "as pictures"),
 )
-_OF_BSON = ("versions", "assets", "physics", "sensors", "cameras")  # checks that import it
+_OF_BSON = ("versions", "assets", "physics", "sensors", "cameras")  # checks that import the package `bson`
 
 
 def run(show: Callable[[str], object] = print) -> bool:
-    """Prints a line a check; returns whether all that is needed is there (pictures and cameras are not)."""
+    """Prints a line a check; returns whether everything necessary works (pictures and cameras are not necessary)."""
     well, ours = True, start.shadowed() is None
     for name, check, needed, remedy in CHECKS:
         try:
@@ -164,14 +164,14 @@ def run(show: Callable[[str], object] = print) -> bool:
                 show(f"  -        {name:<10}not tried: it needs bson, see 'name'")
             else:
                 show(f"  ok       {name:<10}{check()}")
-        except Exception as error:  # whatever it is, it is to be told
+        except Exception as error:  # any error is to be reported
             well &= not needed
             show(f"  {'MISSING' if needed else 'without':<9}{name:<10}{error}\n{'':21}mend: {remedy}")
     return well
 
 
 def command() -> int | str | None:
-    """`bson doctor` as a command; its exit code."""
+    """Runs `bson doctor`; returns its exit code."""
 
     def examine():
         start_mujoco(draws=False)

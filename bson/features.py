@@ -1,8 +1,8 @@
-"""What learned robots see: the Local track's goal, motion and 2D LIDAR as one short vector.
+"""The input of learned robots: the Local track's goal, motion and 2D LIDAR as one short vector.
 
-720 beams are more than an MLP needs: each SECTOR of 7.5 degrees keeps its nearest beam, since the nearest thing is what
-one runs into, as closeness, which is 0 from RANGE on. One scan does not tell who is coming, so the scans of the last
-control steps lie beside the present one. The functions take NumPy or JAX arrays.
+720 beams are more than an MLP needs: each sector of 7.5 degrees keeps its nearest beam, since a robot runs into the
+nearest thing. The beam is given as closeness, which is 0 from RANGE on. One scan does not tell who is coming closer, so
+two scans of the last control steps are given too. The functions take NumPy or JAX arrays.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from macid.geometry import Array
 
 SECTORS = 36
 RANGE = 8.0  # closeness is 1 - distance / RANGE, at least 0 [m]
-SCANS = (0, 2, 4)  # how many control steps ago the scans were that are seen
+SCANS = (0, 2, 4)  # ages of the scans in the vector, in control steps
 FEATURES = 6 + len(SCANS) * SECTORS
 TOP = (2.0, 2.0)  # the Jackal's top speed and yaw rate [m/s, rad/s]
 _GOAL_RANGE = 20.0  # [m]
@@ -39,7 +39,7 @@ def motion(observation: Mapping[str, Array], top: Any = TOP) -> Array:
 
 
 class Features:
-    """Features of `count` robots, with a memory of their last scans. top: see `motion`."""
+    """Features of `count` robots, with a memory of their last scans. top: the top speed and yaw rate, see `motion`."""
 
     def __init__(self, count: int, top: Any = TOP):
         self._top = top
@@ -52,7 +52,7 @@ class Features:
         return self._vector(rows, observation)
 
     def step(self, rows: Any, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The same after a control step."""
+        """Features (len(rows), FEATURES) of the robots `rows` after a control step."""
         self._scans[rows, 1:] = self._scans[rows, :-1]
         self._scans[rows, 0] = closeness(observation["lidar"])
         return self._vector(rows, observation)
@@ -62,8 +62,8 @@ class Features:
 
 
 def remember(scans: Array, lidar: Array, began: Array) -> Array:
-    """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); of robots whose
-    episode `began` (N,) in that step, the reading is all there is."""
+    """Scans (N, SCANS[-1] + 1, SECTORS), the latest first, after the `lidar` readings (N, beams); a robot whose episode
+    `began` (N,) in that step has this reading in all scans."""
     xp = lidar.__array_namespace__()
     new = closeness(lidar)[:, None]
     longer = xp.concatenate([new, scans[:, :-1]], axis=1)

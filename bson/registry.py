@@ -1,11 +1,11 @@
-"""Every kind of name that users of the benchmark give, in one table; each Kind stands with what it names
-(macid.registry)."""
+"""Every kind of name that users of the benchmark give, in one table. Each Kind (macid.registry) is defined beside the
+things that it names."""
 
 import importlib
 
 from macid.registry import Kind
 
-#: {what a list of them is called: (where its Kind is, how a name of it is given)}
+#: {the name of its list: (where its Kind is, how users give such a name)}
 KINDS = {
     "agents": ("bson.agents:AGENTS", "--agent NAME"),
     "pedestrians": ("macid.pedestrians:PEDESTRIANS", "--set pedestrian_model=NAME"),
@@ -22,6 +22,6 @@ KINDS = {
 
 
 def kind(what: str) -> Kind:
-    """The Kind of KINDS that is called `what`. Raises ModuleNotFoundError where it needs an extra that is missing."""
+    """The Kind in KINDS under the name `what`. Raises ModuleNotFoundError where it needs an extra that is missing."""
     module, _, attribute = KINDS[what][0].partition(":")
     return getattr(importlib.import_module(module), attribute)

@@ -1,10 +1,10 @@
-"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other that
-a drive description and an MJCF or URDF model tell of.
+"""Robots on driven wheels, left and right, that follow a commanded `(v, w)`, open loop: the Jackal, and any other robot
+with a drive description and an MJCF or URDF model.
 
-A command is `(v, w)`: speed ahead [m/s] and yaw rate [rad/s], counter-clockwise. A pose is `(x, y, yaw)` in the world
-frame, that of the robot's base: x ahead, y left, z up, its origin the middle of the footprint.
+A command is `(v, w)`: speed ahead [m/s] and yaw rate [rad/s], counter-clockwise. A pose is `(x, y, yaw)` of the robot's
+base in the world frame. The base's frame has x ahead, y left, z up, and its origin in the middle of the footprint.
 
-A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
+A description is a TOML file, `assets/robots/NAME.toml` or the user's own file:
 
 | key | what |
 |---|---|
@@ -22,10 +22,10 @@ A description is a TOML file, `assets/robots/NAME.toml` or anybody's own:
 | mounts.NAME.position, .rpy | a place for a sensor in the base's frame [m], roll, pitch and yaw [rad] if it is turned |
 
 Mounts are `lidar`, `lidar3d`, `camera`, `imu`, unless the model has sites of these names, and any others that a
-sensor's `site` names. Numbers outside what such robots have, of the description or of the model as MuJoCo compiles it
-(masses, inertias, shapes), are refused. Wheels touch the floor only, and so does the rest of the model, sliding, as
-casters do; people and walls touch the hull. Where the model has MuJoCo's defaults, contacts and armature are as the
-Jackal's (robots/jackal.xml).
+sensor's `site` names. Numbers outside the range of such robots are refused, in the description and in the model as
+MuJoCo compiles it (masses, inertias, shapes). Wheels touch the floor only. The rest of the model touches the floor only
+as well, and slides, as casters do. People and walls touch the hull. Where the model has MuJoCo's defaults, contacts and
+armature are as the Jackal's (robots/jackal.xml).
 """
 
 import dataclasses
@@ -49,14 +49,14 @@ from macid.registry import Kind
 from macid.scene import BIT_FLOOR, BIT_SOLID, base_spec
 from macid.state import PHYSICS_STEP
 
-MOUNTS = ("lidar", "lidar3d", "camera", "imu")  # that every robot has
-MAX_SPEED = 5.0  # so that nobody is met between two looks (bson.simulation.world) [m/s]
-MAX_RADIUS = 0.8  # so that a robot begins clear of obstacles (bson.task) [m]
+MOUNTS = ("lidar", "lidar3d", "camera", "imu")  # every robot has these
+MAX_SPEED = 5.0  # at most, so that nobody is met between two looks (bson.simulation.world) [m/s]
+MAX_RADIUS = 0.8  # at most, so that a robot begins clear of obstacles (bson.task) [m]
 _TYRE = {"friction": [0.8, 0.005, 0.0001], "solref": [0.15, 0.3], "solimp": [0.7, 0.7, 0.001, 0.5, 2.0]}
 _HULL_CONTACT = (0, BIT_SOLID | BIT_FLOOR)  # contype, conaffinity
 _HULL_FRICTION = [0.3, 0.005, 0.0001]
 _UNSEEN = 3  # the group of shapes that films don't draw
-_FRONT_FIELD = 42.0  # of the camera that films show, upright [deg]
+_FRONT_FIELD = 42.0  # of the camera in films, upright [deg]
 _BACKWARDS_UP = (0.5, 0.5, -0.5, -0.5)  # from x ahead, z up to a MuJoCo camera's -z ahead, y up
 _BOUNDS = {  # of a RobotConfig's numbers: least, most, unit
     "max_speed": (0.01, MAX_SPEED, "m/s"),
@@ -70,11 +70,11 @@ _BOUNDS = {  # of a RobotConfig's numbers: least, most, unit
     "spawn_height": (0.0, 2.0, "m"),
 }
 _MASS = (0.1, 1000.0)  # of a robot [kg]
-_GYRATION = (0.0005, 2.0)  # radius of gyration of a body about any axis [m]
-_SIZE = (0.001, 2.0)  # radius of what touches the floor [m]
+_GYRATION = (0.0005, 2.0)  # radius of gyration of a body about any of its axes [m]
+_SIZE = (0.001, 2.0)  # radius of a shape that touches the floor [m]
 _MODEL_BYTES = 1 << 24
 _MOST_ASSET = 1 << 28  # of a mesh or texture of a model [bytes]
-_MOST_INCLUDES = 16  # in one another
+_MOST_INCLUDES = 16  # levels of includes inside each other
 _ASSET_FOLDERS = ("assetdir", "meshdir", "texturedir")  # of an MJCF's <compiler>
 _MOST_COPIES = 4096  # of an element of a model, or sides of a texture [pixels]
 
@@ -85,7 +85,7 @@ def _domain(name):
 
 
 def _whole(name):
-    """The bounds of a whole number, which stays whole."""
+    """The bounds of a field of whole numbers, which stays whole."""
     least, most, _ = _BOUNDS[name]
     return Meta(description=_domain(name), ge=math.ceil(least), le=math.floor(most))
 
@@ -146,15 +146,15 @@ class _Description(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RobotConfig:
-    """What a robot can do and how large it is; the rest is in the description `name`. Raises ValueError."""
+    """A robot's abilities and sizes; the rest is in the description `name`. Raises ValueError."""
 
-    name: str  # of the description, or its file
+    name: str  # the description's name, or its file
     max_speed: float  # ahead and back [m/s]
     max_yaw_rate: float  # [rad/s]
     wheel_radius: float  # [m]
     rolling_radius: float  # of the loaded tyre [m]
     track: float  # between the left and the right wheels [m]
-    effective_track: float  # that a robot without sideways slip would need to turn as this one does [m]
+    effective_track: float  # the track with which a robot without sideways slip would turn as this one does [m]
     half_length: float  # of the footprint [m]
     half_width: float  # [m]
     spawn_height: float  # of the base's frame above the ground when the robot stands still [m]
@@ -173,7 +173,7 @@ class RobotConfig:
 
     @property
     def radius(self) -> float:
-        """Of the circle around the footprint [m]."""
+        """The radius of the circle around the footprint [m]."""
         return float(np.hypot(self.half_length, self.half_width))
 
 
@@ -188,8 +188,8 @@ class Robot:
     right: tuple[str, ...]
     motor: tuple[float, float] | None  # gain [N m s/rad], max_torque [N m]; None: the model's own
     height: tuple[float, float] | None  # bottom and top of the hull above the ground [m]; None: the model's own
-    mounts: tuple  # of (name, position (3,) [m], quaternion (4,))
-    digest: str  # of both files
+    mounts: tuple  # (name, position (3,) [m], quaternion (4,)) of each
+    digest: str  # a hash of both files
     forwards: tuple[float, ...] = ()  # of each wheel: 1, or -1 where a positive turn of its hinge drives back
 
     @property
@@ -199,13 +199,13 @@ class Robot:
 
 
 def add_robot(spec: mujoco.MjSpec, robot: "Robot", name: str = "robot", hidden: bool = False) -> None:
-    """Attach the Robot to the world of `spec`, under a free joint `name`; its elements are called `name/...`.
+    """Attach the Robot to the world of `spec`, under a free joint `name`; its elements get names `name/...`.
 
-    Joints and actuators of bodies that `spec` already has come before the robot's. hidden: as `hide_robot` leaves it.
-    Raises ValueError for a model that lacks what the description names.
+    Joints and actuators that `spec` already has come before the robot's. hidden: whether sensors don't see the robot,
+    see `hide_robot`. Raises ValueError for a model that lacks what the description names.
     """
     model = _prepared(robot, hidden).copy()
-    for part in ("option", "visual", "stat", "memory"):  # the scene's rule; MuJoCo would warn that they do
+    for part in ("option", "visual", "stat", "memory"):  # the scene's hold; MuJoCo would warn that they do
         setattr(model, part, getattr(spec, part))
     attached = spec.worldbody.add_frame().attach_body(model.body(robot.base), f"{name}/", "")
     attached.add_freejoint(name=name)
@@ -240,7 +240,7 @@ def _prepared(robot, hidden):
 
 
 def hide_robot(spec: mujoco.MjSpec, name: str = "robot") -> None:
-    """Takes from `spec` what of the robot can only be seen, and hides the rest of it from rays and cameras: no sensor
+    """Removes from `spec` the robot's visual-only parts, and hides its other parts from rays and cameras: no sensor
     sees the robot that carries it. Motion stays what it was, bit for bit."""
     _hide(spec, spec.joint(name).parent)
 
@@ -288,7 +288,8 @@ def _read_model(file):
 
 
 def _add_motors(model, robot, joints):
-    """A velocity actuator for each wheel, with the description's gain, unless that leaves it to the model."""
+    """A velocity actuator for each wheel, with the description's gain, unless the description leaves the motors to the
+    model."""
     for wheel in robot.wheels:
         own = [motor for motor in model.actuators if motor.target == wheel]
         if robot.motor is None:
@@ -314,7 +315,7 @@ def _is_velocity_motor(motor):
 
 
 def _set_contacts(robot, base, joints):
-    """Says what of the robot touches what."""
+    """Sets which of the robot's shapes touch the floor, people and walls."""
     plain = mujoco.MjSpec().worldbody.add_geom()
     wheels = {joints[wheel].parent.name for wheel in robot.wheels}
     for geom in filter(_collides, base.find_all("geom")):
@@ -338,7 +339,7 @@ def _fit_hull(spec, base, robot, name):
             raise ValueError("the model has no geom 'hull': give footprint.bottom and footprint.top.")
         bottom, top = np.array(robot.height) - config.spawn_height
         hull = base.add_geom(
-            spec.default,  # not the model's
+            spec.default,  # not the model's own default
             name=f"{name}/hull",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[0.0, 0.0, (bottom + top) / 2],
@@ -357,7 +358,7 @@ def _fit_hull(spec, base, robot, name):
 
 
 def _add_mounts(model, robot, base):
-    """The sites that sensors look for, the IMU's two sensors, and the camera that films show."""
+    """Adds the sites that sensors look for, the IMU's two sensors, and the camera for films."""
     for name, position, quaternion in robot.mounts:
         base.add_site(name=name, pos=position, quat=quaternion, group=4)
     for name in MOUNTS:
@@ -388,7 +389,7 @@ def robot_names() -> list[str]:
 def load_robot(name: str) -> "Robot":
     """The Robot of a description: a name of `robot_names()`, or a .toml file.
 
-    Raises UsageError, naming the valid choices, or what is wrong in the description or its model.
+    Raises UsageError, naming the valid choices, or the fault in the description or its model.
     """
     cure = _CURES.get(pathlib.Path(name).suffix.lower(), "")
     if cure and name not in robot_names():
@@ -397,7 +398,7 @@ def load_robot(name: str) -> "Robot":
 
 
 def _read_robot(name):
-    """The Robot of a description that comes with the project, or of a file."""
+    """The Robot of a description, a shipped one or a file."""
     path = pathlib.Path(name)
     if path.suffix != ".toml":
         path = assets.path("robots", f"{name}.toml")
@@ -441,8 +442,8 @@ def _model(path, fields):
 
 
 def robot_config(value: Any) -> RobotConfig:
-    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of numbers to be changed
-    of the description `name` (of the Jackal's without). Raises ValueError."""
+    """The RobotConfig that `value` stands for: itself, a description's name or file, or a dict of changed numbers, for
+    the description `name` in it (without: the Jackal's). Raises ValueError."""
     names = [field.name for field in dataclasses.fields(RobotConfig)]
     if isinstance(value, RobotConfig):
         load_robot(value.name)
@@ -516,21 +517,21 @@ def _load(name, path, changed, _model_changed):
 
 
 def _refuse_odd_models(content, folder, depth=0):
-    """Raises ValueError for a model (bytes) in `folder`, or one that it includes, that asks for what MuJoCo has no
-    reader or no room for."""
+    """Raises ValueError for a model (bytes) in `folder`, or a file that it includes, that needs a reader or more room
+    than MuJoCo has."""
     if depth > _MOST_INCLUDES:
         raise ValueError(f"its <include>s are nested more than {_MOST_INCLUDES} deep.")
     if b"<xacro:" in content:
         raise ValueError(f"the model has xacro's macros, which MuJoCo can't read.{_EXPAND}")
     try:
         tree = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, ValueError):  # MuJoCo tells it better
+    except (ElementTree.ParseError, ValueError):  # MuJoCo's own message is better
         return
     places = {"", *(value for each in tree.iter("compiler") for key in _ASSET_FOLDERS if (value := each.get(key)))}
     copies = 1.0
     for element in tree.iter():
         mesh = element.get("filename") or element.get("file") or ""
-        named = {mesh, mesh.replace("\\", "/").rpartition("/")[2]} - {""}  # a URDF's names lose their folders
+        named = {mesh, mesh.replace("\\", "/").rpartition("/")[2]} - {""}  # names in a URDF lose their folders
         for file in [folder / place / name for place in sorted(places) for name in sorted(named)]:
             if element.tag == "include" and file.exists():
                 _refuse_odd_models(read_bytes(file, "included model", _MODEL_BYTES), folder, depth + 1)
@@ -559,8 +560,8 @@ def _quaternion(rpy):
 
 
 def _forwards(robot):
-    """1 or -1 for each wheel: whether a positive turn of its hinge drives ahead. Raises ValueError for a robot that
-    can't be built, or whose wheels are not left and right on axles across it."""
+    """For each wheel 1 where a positive turn of its hinge drives ahead, -1 where it drives back. Raises ValueError for
+    a robot that can't be built, or whose wheels are not left and right on axles across it."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()
@@ -583,13 +584,14 @@ def _forwards(robot):
 
 
 def _refuse_odd_bodies(model):
-    """Raises ValueError for a robot alone in its world whose bodies, as MuJoCo has compiled them, no robot has."""
+    """Raises ValueError where the bodies of a compiled model, a robot alone in its world, are outside the range of real
+    robots."""
     total = float(model.body_mass.sum())
     if not _MASS[0] <= total <= _MASS[1]:
         raise ValueError(f"its mass is {total:g} kg; it must be from {_MASS[0]:g} to {_MASS[1]:g} kg.")
     for index in range(1, model.nbody):
         body, mass = model.body(index).name.removeprefix("robot/"), model.body_mass[index]
-        if mass == 0:  # what it carries has some, or MuJoCo would have refused it
+        if mass == 0:  # a body that it carries has a mass, or MuJoCo would have refused it
             continue
         gyration = np.sqrt(model.body_inertia[index] / mass)
         if not ((gyration >= _GYRATION[0]) & (gyration <= _GYRATION[1])).all():
@@ -615,7 +617,8 @@ def _refuse_odd_bodies(model):
 
 
 def __getattr__(name):
-    """JACKAL, the Robot that others are compared with, once somebody asks: to read a robot is to compile it."""
+    """JACKAL, the Robot with which others are compared. It is read when it is first asked for, as reading compiles
+    it."""
     if name != "JACKAL":
         raise AttributeError(f"module 'bson.robot' has no attribute '{name}'")
     return load_robot("jackal")
@@ -623,7 +626,8 @@ def __getattr__(name):
 
 @functools.lru_cache(64)
 def site_pose(robot: Robot, site: str) -> Any:
-    """Where the Robot has its `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None: nowhere."""
+    """The pose of the Robot's `site`: position (3,) [m] and rotation (3, 3) in the frame of its base. None if it has no
+    such site."""
     spec = base_spec(20.0)
     add_robot(spec, robot)
     model = spec.compile()
@@ -637,13 +641,13 @@ def site_pose(robot: Robot, site: str) -> Any:
 
 
 def _namespace(array):
-    """NumPy, or JAX for its arrays."""
+    """The array module: NumPy, or JAX for JAX's arrays."""
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
 def wheel_speeds(command: Array, robot: Robot | None = None) -> Array:
-    """Speeds (..., W) [rad/s] of the Robot's hinges (the Jackal's without), ordered as its `wheels`, for `command`
-    (..., 2): (v [m/s], w [rad/s]), clipped."""
+    """Speeds (..., W) [rad/s] of the Robot's hinges, ordered as its `wheels`, for `command` (..., 2): (v [m/s], w
+    [rad/s]), which is clipped. robot: None for the Jackal."""
     robot = robot or load_robot("jackal")
     config, xp = robot.config, _namespace(command)
     limit = np.array([config.max_speed, config.max_yaw_rate])
@@ -655,14 +659,15 @@ def wheel_speeds(command: Array, robot: Robot | None = None) -> Array:
 
 
 def wheel_actuators(model: mujoco.MjModel, robot: Robot | None = None, name: str = "robot") -> np.ndarray:
-    """Which entries (W,) of the MjModel's ctrl are the Robot's (the Jackal's) wheels, ordered as its `wheels`."""
+    """The indices (W,) in the MjModel's ctrl of the Robot's wheels, ordered as its `wheels`. robot: None for the
+    Jackal."""
     robot = robot or load_robot("jackal")
     hinges = [model.joint(f"{name}/{wheel}").id for wheel in robot.wheels]
     return np.array([np.flatnonzero(model.actuator_trnid[:, 0] == hinge)[0] for hinge in hinges])
 
 
 def wheel_dofs(model: mujoco.MjModel, robot: Robot, name: str = "robot") -> np.ndarray:
-    """Which entries (W,) of the MjModel's qvel are the Robot's wheels, ordered as its `wheels`."""
+    """The indices (W,) in the MjModel's qvel of the Robot's wheels, ordered as its `wheels`."""
     return np.array([model.joint(f"{name}/{wheel}").dofadr[0] for wheel in robot.wheels])
 
 
@@ -688,7 +693,8 @@ def planar_velocity(qpos: Array, qvel: Array) -> Array:
 
 
 def spawn_qpos(x: Any, y: Any, yaw: Any, config: RobotConfig | None = None) -> np.ndarray:
-    """`qpos` (..., 7) of a robot (the Jackal) that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...)."""
+    """`qpos` (..., 7) of a robot that stands on the ground at `x`, `y` [m] (...), `yaw` [rad] (...). config: None for
+    the Jackal."""
     config = config or load_robot("jackal").config
     x, y, yaw = np.broadcast_arrays(x, y, yaw)
     place = np.stack([x, y, np.full(yaw.shape, config.spawn_height)], axis=-1)
@@ -696,7 +702,8 @@ def spawn_qpos(x: Any, y: Any, yaw: Any, config: RobotConfig | None = None) -> n
 
 
 def footprint(pose: Array, config: RobotConfig | None = None) -> Array:
-    """Box rows (..., 5), as in `macid.geometry`, that a robot (the Jackal) at `pose` (..., 3) covers."""
+    """The footprint of a robot at `pose` (..., 3) as box rows (..., 5) of `macid.geometry`. config: None for the
+    Jackal."""
     config = config or load_robot("jackal").config
     xp = _namespace(pose)
     pose = xp.asarray(pose)

@@ -1,4 +1,5 @@
-"""The robot's sensors: each is one frozen config that mounts itself on a scene, reads many worlds and makes its noise.
+"""The robot's sensors: each is one frozen configuration that mounts itself on a scene, reads many worlds and adds its
+noise.
 
 Every sensor has its key in the observation, its space, and the frame of its readings: x ahead, y left, z up, on the
 robot unless `yaw` or `pitch` turn it. No sensor sees the robot that carries it. Noise is off (0) unless asked for:
@@ -11,7 +12,7 @@ robot unless `yaw` or `pitch` turn it. No sensor sees the robot that carries it.
 | RgbCamera | 0.007 of white, for the three colours of a pixel at once | Gazebo's tutorial on sensor noise |
 | Imu | 0.005 m/s2 and 0.005 rad/s | Clearpath's Jackal |
 
-It is white: drawn anew for each reading, independent between beams, pixels and axes.
+The noise is white: drawn anew for each reading, independent between beams, pixels and axes.
 """
 
 import dataclasses
@@ -60,7 +61,7 @@ def _numbers(count, each, rising=False):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """What all sensors have. Raises ValueError for a value outside its domain, naming both.
+    """The base of all sensors. Raises ValueError for a value outside its domain, naming both.
 
     key: the reading's name in the observation. rate [Hz]: a reading is taken at the reset and every 1 / rate seconds,
     a multiple of the control period, and kept in between; None: in every control step. noise: in standard deviations
@@ -97,16 +98,17 @@ class Sensor:
         raise NotImplementedError
 
     def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
-        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors that read as this one does, for
-        programs without this project. Returns what they must know, as JSON has it; nothing where they can't have its
-        reading."""
+        """Adds to the scene `spec`, in which it is mounted, MuJoCo's own sensors with the same readings, for programs
+        without this project. Returns notes for these programs, ready for JSON; an empty dict where MuJoCo has no sensor
+        with this reading."""
         return {}
 
     def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
-        """The reading function of a World, called once, when that is made: read(world, ids) -> (n, *space.shape).
+        """The reading function for a World: called once, when the World is made, this method gives read(world, ids) ->
+        (n, *space.shape).
 
-        Readings are exact, of the last `forward` of the world's engine (bson.simulation.engines.base); noise comes
-        after. Raises what keeps the sensor from working.
+        Readings are exact, of the last `forward` of the world's engine (bson.simulation.engines.base); noise is added
+        afterwards. Raises an error where the sensor can't work.
         """
         raise NotImplementedError
 
@@ -136,8 +138,8 @@ class Sensor:
 class Mounted(Sensor):
     """A sensor with a place on the robot.
 
-    position: x, y, z [m] in the frame of the robot's body; None: at the robot's site named `site`. yaw [rad]: counter-
-    clockwise; pitch [rad]: then downwards; away from the robot's x axis.
+    position: x, y, z [m] in the frame of the robot's body; None: at the robot's site named `site`. yaw [rad]:
+    counter-clockwise from the robot's x axis; pitch [rad]: downwards, after the yaw.
     """
 
     site: str
@@ -158,7 +160,7 @@ class Mounted(Sensor):
 
     @property
     def turn(self) -> np.ndarray:
-        """The rotation (3, 3) of the sensor's frame in that of its place: `yaw` and `pitch`."""
+        """The rotation (3, 3) of the sensor's frame in the frame of its place: `yaw` and `pitch`."""
         sy, cy, sp, cp = math.sin(self.yaw), math.cos(self.yaw), math.sin(self.pitch), math.cos(self.pitch)
         return np.array([[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, 0.0, cp]])
 
@@ -184,8 +186,8 @@ def _quaternion(frame):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Ranging(Mounted):
-    """A sensor that measures distances along `directions`. Where nothing is met within range_max it reads range_max;
-    nothing reads below range_min.
+    """A sensor that measures distances along `directions`. A beam that meets nothing within range_max reads range_max;
+    no reading is below range_min.
 
     sigma: standard deviation of a distance, times `noise`; in metres unless the sensor says otherwise.
     """
@@ -203,7 +205,7 @@ class Ranging(Mounted):
 
     @property
     def directions(self) -> np.ndarray:
-        """Vectors (..., 3) that reach as far as a distance of 1 m, in the sensor's frame."""
+        """Vectors (..., 3) in the sensor's frame, each from the sensor to a point that reads 1 m."""
         raise NotImplementedError
 
     @property
@@ -212,13 +214,13 @@ class Ranging(Mounted):
         return gymnasium.spaces.Box(self.range_min, self.range_max, self.directions.shape[:-1], np.float32)
 
     def points(self, reading: np.ndarray) -> np.ndarray:
-        """Where something was met within range in one `reading`: (N, 3) [m], sensor's frame."""
+        """The points (N, 3) [m], sensor's frame, that one `reading` met within range."""
         reading = np.asarray(reading)
         met = reading < self.range_max
         return reading[met][:, None] * self.directions[met]
 
     def noisy(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """`reading` with noise wherever something was met."""
+        """`reading` with noise on every distance at which something was met."""
         error = rng.standard_normal(reading.shape, np.float32) * np.float32(self.noise * self.sigma)
         return np.where(reading < self.range_max, self._within(reading + error * self._growth(reading)), reading)
 
@@ -227,7 +229,7 @@ class Ranging(Mounted):
         return np.clip(distance, self.range_min, self.range_max).astype(np.float32)
 
     def _growth(self, reading):
-        """What multiplies `sigma` at the distances `reading`."""
+        """The factor on `sigma` at the distances `reading`."""
         return 1
 
 
@@ -237,7 +239,7 @@ class Lidar(Ranging):
     it."""
 
     def mount(self, spec: mujoco.MjSpec, robot: str = "robot") -> None:
-        """Adds the site from which the beams go out."""
+        """Adds the site from which the beams start."""
         body, place, frame = self._place(spec, robot)
         body.add_site(name=f"{robot}/{self.key}_beams", pos=place, quat=_quaternion(frame), group=4, size=[0.002] * 3)
 
@@ -307,14 +309,15 @@ class Lidar3D(Lidar):
     """A spinning scanner of the Velodyne VLP-16 kind, above the Jackal's centre, 0.385 m above ground.
 
     Reading: a range image (rows, columns) float32 [m]. Row 0 is the lowest, the last the highest, `elevation` apart in
-    equal steps. Column 0 looks straight back, the middle one ahead; between them the robot's right, after it the left
-    (counter-clockwise, as Lidar2D). `points(reading)` is the point cloud. At 10 Hz the device has 1,800 columns.
+    equal steps. Column 0 looks straight back, the middle column ahead; the columns between them look to the robot's
+    right, the others to its left (counter-clockwise, as in Lidar2D). `points(reading)` is the point cloud. At 10 Hz the
+    device has 1,800 columns.
     """
 
     key: str = "lidar3d"
     rows: int = 16
     columns: int = 360
-    elevation: tuple[float, float] = (-math.radians(15), math.radians(15))  # of the first and the last row [rad]
+    elevation: tuple[float, float] = (-math.radians(15), math.radians(15))  # lowest and highest row [rad]
     range_min: float = 0.1  # [m]
     range_max: float = 100.0  # [m]
     sigma: float = 0.008  # [m]
@@ -329,12 +332,12 @@ class Lidar3D(Lidar):
 
     @property
     def elevations(self) -> np.ndarray:
-        """Of the rows (rows,) [rad], upwards from level."""
+        """Elevations (rows,) [rad] of the rows, upwards from level."""
         return np.linspace(*self.elevation, self.rows)
 
     @property
     def azimuths(self) -> np.ndarray:
-        """Of the columns (columns,) [rad], counter-clockwise from ahead."""
+        """Azimuths (columns,) [rad] of the columns, counter-clockwise from ahead."""
         return 2 * np.pi * (np.arange(self.columns) - self.columns // 2) / self.columns
 
     @property
@@ -352,7 +355,8 @@ class Camera(Mounted):
 
     width, height [pixels]; field: horizontal and vertical angle [rad]. The default is the D435's whole colour picture,
     69 x 42 degrees, scaled to 160 x 120, so that a pixel spans more across than down: `focal` has both lengths.
-    Pictures have no shadows and no anti-aliasing: a pixel is what the ray through its middle meets. Needs OpenGL.
+    Pictures have no shadows and no anti-aliasing: a pixel shows the surface that the ray through its middle meets.
+    Needs OpenGL.
     """
 
     width: int = 160
@@ -398,12 +402,12 @@ class Camera(Mounted):
         )
 
     def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
-        """Nothing to add: the camera is there. A program draws it itself, in the camera's resolution, without
-        shadows."""
+        """Nothing to add: the camera is mounted already. The program draws its pictures itself, in the camera's
+        resolution, without shadows."""
         return {"read_as": "picture", "camera": f"{robot}/{self.key}", "width": self.width, "height": self.height}
 
     def _bind(self, world, robot):
-        """look(world, ids) -> RGB, depth: see `Engine.pictures`."""
+        """The function look(world, ids) -> (RGB, depth), see `Engine.pictures`."""
         try:
             camera = world.engine.add_camera(f"{robot}/{self.key}")
         except Unavailable as error:
@@ -442,11 +446,12 @@ class RgbCamera(Camera):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
+class DepthCamera(Camera, Ranging):  # in this order, so that the camera's site holds
     """A depth camera. Reading: (height, width) float32 [m], along the optical axis, not along the pixel's ray.
 
-    Nothing within range_max reads range_max, and nothing reads below range_min. By default the picture is aligned with
-    the colour camera's, pixel by pixel, as the D435's driver does it; the stereo pair's own field is 85 x 58 degrees.
+    A pixel that meets nothing within range_max reads range_max, and no reading is below range_min. By default the
+    picture is aligned with the colour camera's, pixel by pixel, as the D435's driver does it; the stereo pair's own
+    field is 85 x 58 degrees.
 
     sigma: standard deviation of a depth z is sigma z^2 [1/m], times `noise`: a stereo camera errs by a share of a pixel
     of disparity, so by z^2 * subpixel / (focal length * baseline). For the D435: 0.08 pixels (Intel: below 0.1 on
@@ -460,7 +465,7 @@ class DepthCamera(Camera, Ranging):  # in this order: a camera has its site
     _sigma_unit = "1/m"
 
     def export(self, spec: mujoco.MjSpec, robot: str = "robot") -> dict[str, Any]:
-        """As Camera.export, with the range that a depth is clipped to [m]."""
+        """As Camera.export, with the range to which depths are clipped [m]."""
         bounds = {"range_min": self.range_min, "range_max": self.range_max}
         return {**super().export(spec, robot), "read_as": "depth", **bounds}
 

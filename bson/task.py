@@ -1,4 +1,4 @@
-"""What is asked of the robot, and among whom: the task's configuration, and the spawning of an episode."""
+"""The robot's task among people: its configuration, and the spawning of an episode."""
 
 import dataclasses
 import functools
@@ -16,13 +16,13 @@ from macid.reward import RewardWeights
 from macid.routing import Router, rest_of_route
 from macid.state import MAX_LCF, PHYSICS_STEP
 
-PEDESTRIANS = 24  # the paper's, sec. VI-D
+PEDESTRIANS = 24  # the paper's number, sec. VI-D
 MAX_PEDESTRIANS = 2000
 MAX_HORIZON = 10**9  # [control steps]
-_START_CLEARANCE = 1.0  # between the robot and the people at the start, surface to surface [m]
+_START_CLEARANCE = 1.0  # between the robot and people at the start, surface to surface [m]
 _REWARD = RewardWeights(distance=1.0, goal=2.0, collision=1.0)
 _ROBOT: Any = "jackal"  # a name; a TaskConfig makes a RobotConfig of it
-_ROUTE_WIDTH = 2.0  # beside a route people begin [m]
+_ROUTE_WIDTH = 2.0  # of the strip along a route in which people begin [m]
 _GOAL_CLEARANCE = 0.5  # of the robot's start and goal from obstacles [m]
 
 
@@ -37,17 +37,17 @@ class TaskConfig:
     num_pedestrians: int | None = None
     pedestrian_density: float | None = None  # in [0, 1]
     obstacle_density: float = 0.0  # in [0, 1]: share of a maze's walls that stand
-    pedestrian_model: str | tuple = "macid"  # or {name: share}: each pedestrian's is drawn by these shares
+    pedestrian_model: str | tuple = "macid"  # or {name: share}: each pedestrian's model is drawn by these shares
     lcf: tuple[float, float] = (-2.0, 2.0)  # a number, or the range from which each pedestrian's LCF is drawn
-    lcf_each: tuple[float, ...] | None = None  # instead, one LCF for each pedestrian
+    lcf_each: tuple[float, ...] | None = None  # one LCF for each pedestrian, in place of lcf
     map_size: float = MAP_SIZE
-    map: str | None = None  # a map's name or file (macid.maps) instead of a maze; it brings its own size
-    control_period: float = 0.1  # between the robot's decisions
-    pedestrian_period: float = 0.1  # between the pedestrians' decisions; at most the control period
+    map: str | None = None  # a map's name or file (macid.maps), in place of a maze; it has its own size
+    control_period: float = 0.1  # between two decisions of the robot
+    pedestrian_period: float = 0.1  # between two decisions of the pedestrians; at most the control period
     horizon: int = 1000  # control steps until truncation
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
     reward: RewardWeights = _REWARD
-    robot: RobotConfig = _ROBOT  # given as such, or by a name or file (bson.robot), or as a dict of numbers changed
+    robot: RobotConfig = _ROBOT  # or a name or file (bson.robot), or a dict of changed numbers
 
     def __post_init__(self):
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
@@ -123,7 +123,7 @@ class TaskConfig:
 
     @property
     def people_goal_distance(self) -> tuple[float, float]:
-        """Least and most distance from a pedestrian's place to its goal [m]; less than usual on small maps."""
+        """Least and greatest distance from a pedestrian's place to its goal [m]; less than usual on small maps."""
         return min(GOAL_DISTANCE[0], self.map_size / 4), GOAL_DISTANCE[1]
 
     @property
@@ -153,7 +153,7 @@ class TaskConfig:
             changes = {"pedestrian_density": None, **changes}
         elif changes.get("pedestrian_density") is not None:
             changes = {"num_pedestrians": None, **changes}
-        if self.map is not None and "map" in changes:  # its size went with it
+        if self.map is not None and "map" in changes:  # the size belonged to the old map
             changes = {"map_size": MAP_SIZE, **changes}
         return dataclasses.replace(self, **changes)
 
@@ -167,7 +167,7 @@ _check_shipped = functools.lru_cache(64)(pedestrians.check_model)
 
 
 def controller(name: str, period: float) -> Any:
-    """The pedestrian model `name`, as macid.pedestrians.make_controller has it; a shipped one is looked up once."""
+    """The pedestrian model `name` from macid.pedestrians.make_controller; a shipped one is looked up once."""
     return pedestrians.make_controller(name, period) if name.endswith(".npz") else _shipped_controller(name, period)
 
 
@@ -179,7 +179,7 @@ def _is_whole(value):
 
 
 def _pair(name, value):
-    """`value` as (least, most): a number stands for both. Raises ValueError."""
+    """`value` as (least, greatest): a number stands for both. Raises ValueError."""
     pair = (value, value) if is_number(value) else value
     try:
         least, most = pair
@@ -232,7 +232,7 @@ def _multiple(name, value, of_name, of):
 
 
 class Spawn(NamedTuple):
-    """How an episode begins. World frame, metres and radians."""
+    """The beginning of an episode. World frame, metres and radians."""
 
     layout: Layout
     robot: np.ndarray  #: (3,) x, y, yaw
@@ -240,16 +240,17 @@ class Spawn(NamedTuple):
     people: np.ndarray  #: (K, 3) x, y, yaw
     people_goals: np.ndarray  #: (K, 2)
     lcf: np.ndarray  #: (K,)
-    models: np.ndarray  #: (K,) each person's place among the config's model_shares
-    router: Router | None  #: people's, where walls bar their view
+    models: np.ndarray  #: (K,) index of each person's model in the config's model_shares
+    router: Router | None  #: the people's router, where walls bar their view
 
 
 def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
     """Draws an episode's map, the robot's start and goal, and the people, from the numpy Generator `rng`.
 
-    The robot faces its goal. Where the map has routes, people begin on theirs, or in the map's region for them, and
-    head for one of its ends, from a region for the far one. Elsewhere they begin in that connected part of the map in
-    which the robot does. Raises macid.layout.NoFreeSpace where the map has no room, or no way from a start to a goal.
+    The robot faces its goal. Where the map has routes, a person begins on its route and heads for one of the route's
+    ends. If the map has a region in which people begin, they begin there and head for the farther end. On other maps
+    they begin in the robot's connected part of the map. Raises macid.layout.NoFreeSpace where the map has no room, or
+    no way from a start to a goal.
     """
     if config.map is None:
         layout = layouts.maze_layout(rng, config.obstacle_density, config.map_size)
@@ -275,8 +276,8 @@ def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
 
 
 def stops(layout: Layout, person: int, place: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Where `person` has to pass on the way from `place` (2,) to `goal` (2,): (W, 2) [m], the goal last. Along its
-    route, if the map has routes."""
+    """The points (W, 2) [m] through which `person` goes from `place` (2,) to `goal` (2,), the goal last. They lie along
+    the person's route, if the map has routes."""
     if not layout.routes:
         return goal[None]
     return rest_of_route(layout.routes[person % len(layout.routes)], place, goal)
@@ -284,10 +285,10 @@ def stops(layout: Layout, person: int, place: np.ndarray, goal: np.ndarray) -> n
 
 def _robot_ends(config, layout, rng):
     """The robot's start (1, 2) and goal (2,) [m]."""
-    router = Router(layout, config.robot.radius) if config.map else None  # a maze is connected
+    router = Router(layout, config.robot.radius) if config.map else None  # in a maze all places are joined
     gap, regions = _GOAL_CLEARANCE, layout.regions
     failure = NoFreeSpace("The robot can't reach its goal.")
-    for _ in range(50):  # a start in the middle of a small map has no goal far enough
+    for _ in range(50):  # again, as a start in the middle of a small map has no goal that is far enough
         start = layouts.sample_people(
             rng, layout, 1, gap=gap, region=regions.get("robot_start"), who="The robot", region_name="robot_start"
         )
@@ -315,7 +316,7 @@ def _robot_ends(config, layout, rng):
 
 
 def _people_ends(config, layout, rng, robot, router):
-    """Where people begin (K, 2) and where they go (K, 2) [m]."""
+    """People's starts (K, 2) and goals (K, 2) [m]."""
     regions = layout.regions
     joins = ways_checker(config, router)
     if not layout.routes:
@@ -347,7 +348,7 @@ def _people_ends(config, layout, rng, robot, router):
         ).reshape(-1, 2)
         taken = np.concatenate([taken, people[who]])
         end = rng.integers(0, 2, len(who))
-        if region is not None:  # from there to the far end
+        if region is not None:  # the end farther from the region
             far = np.linalg.norm(people[who, None] - route[[0, -1]], axis=-1)
             end = far.argmax(axis=-1)
         goals[who] = route[end * (len(route) - 1)]
@@ -355,13 +356,13 @@ def _people_ends(config, layout, rng, robot, router):
         for person, (place, goal) in enumerate(zip(people, goals, strict=True)):
             way = np.vstack([place, stops(layout, person, place, goal)])
             if not (joined := joins(way[:-1], way[1:])).all():
-                router.path(*way[np.argmin(joined) :][:2])  # tells between what there is no way
+                router.path(*way[np.argmin(joined) :][:2])  # its error tells the two places
     return people, goals
 
 
 def ways_checker(config: TaskConfig, router: Router | None) -> Any:
-    """The test `joins` for macid.layout.sample_goals, whether people can walk from a place to a goal: the `router`'s
-    own.
+    """The test `joins` for macid.layout.sample_goals, which tells whether people can walk from a place to a goal: the
+    `router`'s own test.
 
     None where people can walk anywhere: on an open map, and in a maze, all of which is joined.
     """

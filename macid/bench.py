@@ -1,4 +1,4 @@
-"""How many agent-steps a second a crowd rolls out and learns from, and what takes the time."""
+"""The speed of rollouts and of training, in agent-steps a second, and the time that each part takes."""
 
 import dataclasses
 import functools
@@ -22,10 +22,10 @@ KINDS = ("rollout", "training")
 
 
 def measure(config: presets.TrainConfig, seconds: float = 3.0, only: str | None = None) -> tuple[float | None, ...]:
-    """Agent-steps/s of rollouts alone (observation, policy, physics, reward) and of whole training iterations.
+    """Agent-steps/s of rollouts alone (observation, policy, physics, reward), and of whole training iterations.
 
     Each is repeated for about `seconds` [s], after a first call that compiles. only: "rollout" or "training"; the other
-    is not measured, and None.
+    is not measured, and its figure is None.
     """
     trainer = Trainer(config)
     state = trainer.init()
@@ -40,8 +40,9 @@ def measure(config: presets.TrainConfig, seconds: float = 3.0, only: str | None 
 
 
 def profile_parts(config: presets.TrainConfig, seconds: float = 1.0) -> dict[str, float]:
-    """{part: microseconds} that parts of a training iteration take a decision of all worlds, each compiled by itself:
-    the rollout, the same without physics, physics alone, observation alone, and the gradient steps of the update.
+    """{part: microseconds} that parts of a training iteration, each compiled by itself, take per decision of all
+    worlds: the rollout, the same without physics, physics alone, observation alone, and the gradient steps of the
+    update.
     """
     trainer = Trainer(config)
     state, steps = trainer.init(), config.rollout
@@ -56,7 +57,7 @@ def profile_parts(config: presets.TrainConfig, seconds: float = 1.0) -> dict[str
         def one(carried, _):
             crowd, _ = carried
             seen = observe(crowd, boxes, walk.goals)
-            # What is seen moves people a little, so that no look is like another.
+            # The observation moves people a little, so that the compiler can't reuse one for the next.
             return (crowd._replace(position=crowd.position + 1e-6 * seen[..., :2]), seen), None
 
         crowd = engine.read(walk.physics)
@@ -90,12 +91,12 @@ class _Standing:
         return getattr(self._engine, name)
 
     def step(self, state, command, nstep=1):
-        """`state`, but for as little as keeps a compiler from knowing that it stays."""
+        """`state`, with a change so small that it only keeps the compiler from leaving the step out."""
         return jax.tree.map(lambda x: x + 1e-30 * command[0, 0, 0] if x.dtype == jnp.float32 else x, state)
 
 
 def _duration(call, seconds):
-    """How long `call()` takes [s], repeated for about `seconds` after a first time."""
+    """The time of a `call()` [s], repeated for about `seconds` [s] after a first call."""
     jax.block_until_ready(call())
     count, begin = 0, time.perf_counter()
     while not count or time.perf_counter() - begin < seconds:
@@ -124,7 +125,7 @@ def run(
 ) -> list[dict[str, Any]]:
     """Prints the table, a line a case; returns its rows as dicts.
 
-    rollout: decisions between updates. only: see `measure`. profile: each row also has what parts take, see
+    rollout: decisions between updates. only: see `measure`. profile: each row also has the times of parts, see
     `profile_parts`.
     """
     show(

@@ -1,8 +1,8 @@
-"""Jobs on the machines of a Ray cluster (extra `ray`): the executor `ray`, and what runs in its workers.
+"""Jobs on the machines of a Ray cluster (extra `ray`): the executor `ray`, and the code that runs in its workers.
 
-A job is one task of one core. What it sends comes back at once, as bytes, so a worker that is killed costs what was not
-sent yet: the job is begun anew with what is left. Workers have the environment that results depend on, and refuse to
-work with another version of this project, MuJoCo, JAX or NumPy.
+A job is one task on one core. The pieces that it sends come back at once, as bytes. A killed worker loses only the work
+that it had not sent yet: the job is begun anew with the rest. Workers get the environment variables on which results
+depend, and refuse to work with another version of this project, MuJoCo, JAX or NumPy.
 """
 
 import collections
@@ -31,28 +31,28 @@ from macid.files import UsageError, one_line, start_mujoco, versions
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"
-# The environment of Ray: it tells nobody of its use, its workers' priority is this process's, not a lower one, and of
-# a lost worker we tell, not Ray, on standard output.
+# Ray's environment: it sends no usage statistics; its workers have this process's priority, not a lower one; this
+# module, not Ray on standard output, reports a lost worker.
 _RAY = {
     "RAY_DEDUP_LOGS_SKIP_REGEX": "worker died or was killed",
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",
 }
-_ANSWER = 3.0  # within which a cluster's address has to answer [s]
-_LOSSES = 3  # of a job's workers, one after the other, of which none sent anything
+_ANSWER = 3.0  # time in which a cluster's address has to answer [s]
+_LOSSES = 3  # workers that a job may lose one after the other without a piece sent
 _MOST_FOLDER = 30  # characters of a folder for Ray's sockets, whose paths may have 107
 _STORE = 1 << 28  # bytes of the object store of a cluster of this machine alone
-_SAME = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")  # whose versions results depend on
+_SAME = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")  # packages on whose versions results depend
 _PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\4\0\0\0\0\0"  # how HTTP/2, and so gRPC, begins (RFC 9113, 3.4)
-_SETTINGS = 4  # the kind of the frame with which it is answered
+_SETTINGS = 4  # the kind of the frame that answers it
 
 
 class Cluster:
-    """Runs jobs on a Ray cluster, see macid.executors.Executor: one that is there, or one of this machine alone, which
-    goes again."""
+    """Runs jobs on a Ray cluster, see macid.executors.Executor: an existing one, or one of this machine alone, which
+    ends with the `with`."""
 
     def __init__(self, address: str | None = None, workers: int | None = None):
-        """address, workers: as of macid.executors.make_executor. Raises UsageError where Ray is missing or nobody
+        """address, workers: as for macid.executors.make_executor. Raises UsageError where Ray is missing or nobody
         answers."""
         for name, value in _RAY.items():
             os.environ.setdefault(name, value)
@@ -60,7 +60,7 @@ class Cluster:
             import ray
         except ImportError as error:
             raise UsageError(f"--executor ray needs {error.name or 'ray'}: {INSTALL}.") from None
-        self._ray: Any = ray  # its types don't tell that a task may give a generator
+        self._ray: Any = ray  # its types don't say that a task may be a generator
         self.address = _checked(address or os.environ.get("RAY_ADDRESS") or "local")
         self.workers = workers
         self._wanted, self._ours, self._folder = workers, False, None
@@ -72,7 +72,7 @@ class Cluster:
             quiet = {"log_to_driver": False, "logging_level": "ERROR"}
             alone = {}
             if self.address == "local":
-                os.environ.setdefault("RAY_AUTH_TOKEN", _token())  # Ray would note one in the home folder
+                os.environ.setdefault("RAY_AUTH_TOKEN", _token())  # otherwise Ray would write one to the home folder
                 short = len(tempfile.gettempdir()) <= _MOST_FOLDER
                 self._folder = tempfile.mkdtemp(prefix="macid-ray-", dir=None if short else "/tmp")
                 alone = {
@@ -83,7 +83,7 @@ class Cluster:
                 }
             try:
                 with start.quiet_children(), warnings.catch_warnings():
-                    warnings.filterwarnings("ignore", r"os\.fork\(\) was called")  # of JAX: Ray forks to begin programs
+                    warnings.filterwarnings("ignore", r"os\.fork\(\) was called")  # JAX warns when Ray forks
                     ray.init(address=self.address, **alone, **quiet)
             except (ConnectionError, RuntimeError, ValueError, OSError) as error:
                 self.__exit__()
@@ -114,7 +114,7 @@ class Cluster:
     def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: Carried) -> None:
         """See macid.executors.Executor.run."""
         ray = self._ray
-        assert self.workers is not None  # in the `with`
+        assert self.workers is not None  # set in the `with`
         packages = tuple(dict.fromkeys(["macid", work.__module__.partition(".")[0]]))
         bundle = ray.put(_Bundle(carried.read(), carried.paths, os.getcwd(), packages, fingerprint(packages)))
         if told := carried.told():
@@ -132,7 +132,7 @@ class Cluster:
                         running[task.remote(environment, bundle, call)] = index
                 if not running:
                     continue
-                ready, _ = ray.wait(list(running), num_returns=1, timeout=0.5)  # returns, so that Ctrl-C is heard
+                ready, _ = ray.wait(list(running), num_returns=1, timeout=0.5)  # a timeout, so that Ctrl-C is heard
                 for pieces in ready:
                     index = running[pieces]
                     try:
@@ -141,7 +141,7 @@ class Cluster:
                         del running[pieces]
                     except ray.exceptions.RayTaskError as error:
                         raise UsageError(f"A worker can't begin: {one_line(str(error.cause), 400)}") from None
-                    except ray.exceptions.RayError as error:  # the worker is gone, or its machine
+                    except ray.exceptions.RayError as error:  # the worker or its machine is gone
                         del running[pieces]
                         lost[index] += 1
                         reason = one_line(str(error).partition("\n")[0], 300)
@@ -205,7 +205,7 @@ def _checked(address):
 
 
 def _of_this_machine():
-    """The address of the cluster of which this machine is, as `ray start` notes it; None where none is noted."""
+    """The address of the cluster to which this machine belongs, as `ray start` noted it; None without a note."""
     noted = pathlib.Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
     try:
         return noted.read_text().strip() or None
@@ -214,8 +214,8 @@ def _of_this_machine():
 
 
 def _environment():
-    """What of the environment workers need, so that results are this process's: XLA sums in as many threads as it would
-    here (see macid.learning.train.train)."""
+    """The environment variables that workers need to get this process's results: XLA sums in as many threads as it
+    would here (see macid.learning.train.train)."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     kept = {name: os.environ[name] for name in ("MUJOCO_GL", "JAX_PLATFORMS", "XLA_FLAGS") if name in os.environ}
     return {
@@ -227,8 +227,8 @@ def _environment():
 
 @dataclasses.dataclass(frozen=True)
 class _Bundle:
-    """What goes to workers once for all jobs: files by absolute path, folders of modules, the current folder, and what
-    they must be like."""
+    """The data that goes to workers once for all jobs: files by absolute path, folders of modules, the current folder,
+    and the fingerprint that workers must have."""
 
     files: dict[str, bytes]
     paths: tuple[str, ...]
@@ -238,8 +238,8 @@ class _Bundle:
 
 
 def _task(ray):
-    """The Ray task of a job. It is sent by value, so it begins in a worker that has another version of this, or
-    none."""
+    """The Ray task of a job. It is sent by value, so it begins even in a worker with another version of this project,
+    or without it."""
 
     @ray.remote(max_retries=0, num_cpus=1, num_returns="streaming")
     def work(environment, bundle, call):
@@ -249,7 +249,7 @@ def _task(ray):
         import tempfile
 
         os.environ.update(environment)
-        tempfile.tempdir = None  # as the environment has it now
+        tempfile.tempdir = None  # so that it follows the new environment
         try:
             from macid.cluster import serve
         except ImportError as error:
@@ -263,7 +263,8 @@ def _task(ray):
 
 @functools.cache
 def fingerprint(packages: tuple[str, ...]) -> dict[str, str]:
-    """What results depend on: versions, and a hash of the code of `packages` and of the assets."""
+    """The fingerprint of this installation, on which results depend: versions, and a hash of the code of `packages` and
+    of the assets."""
     digest = hashlib.sha256()
     code = pathlib.Path(__file__).parent.parent
     found = [(code, file) for name in packages for file in code.joinpath(name).rglob("*.py")]
@@ -278,7 +279,7 @@ def fingerprint(packages: tuple[str, ...]) -> dict[str, str]:
 
 
 def _other_version(bundle):
-    """What sets this worker apart from who asks, in a sentence; "" where nothing does."""
+    """The difference between this worker's fingerprint and the bundle's, in a sentence; "" where they are equal."""
     ours, wanted = fingerprint(bundle.packages), bundle.fingerprint
     other = [f"{name} {ours.get(name)}, not {wanted[name]}" for name in wanted if ours.get(name) != wanted[name]]
     if not other:
@@ -290,8 +291,8 @@ def _other_version(bundle):
 
 
 def serve(bundle: _Bundle, call: bytes) -> Iterator[bytes]:
-    """What a worker sends of a job, piece by piece: pickled ("piece", what was sent), or ("error", the exception). The
-    work is done in a thread."""
+    """Runs a job in a worker, in a thread; yields its pieces, each pickled: ("piece", the piece), or ("error", the
+    exception)."""
     if problem := _other_version(bundle):
         yield pickle.dumps(("error", UsageError(problem)))
         return
@@ -318,8 +319,8 @@ def serve(bundle: _Bundle, call: bytes) -> Iterator[bytes]:
 
 @contextlib.contextmanager
 def _unpacked(bundle):
-    """The bundle's files in a folder of their own, the place of the current folder in it being the current folder; all
-    is as it was behind it. Gives the folder, before which absolute paths go."""
+    """Puts the bundle's files into a new folder, and works in that folder's copy of the current folder; puts everything
+    back after the `with`. Gives the new folder, which goes in front of absolute paths."""
     before, paths = os.getcwd(), list(sys.path)
     with tempfile.TemporaryDirectory(prefix="macid-worker-") as root:
         try:
@@ -341,7 +342,7 @@ def _unpacked(bundle):
 
 
 def moved(value: Any, files: Mapping[str, Any], root: str) -> Any:
-    """`value`, of dataclasses, dicts, lists, tuples and what is in them, in which absolute paths of `files` lead below
+    """A copy of `value`, of nested dataclasses, dicts, lists and tuples, in which absolute paths of `files` lead below
     `root`."""
     if isinstance(value, str):
         return root + value if value in files or value.rpartition(":")[0] in files else value  # file.py:attribute
@@ -360,13 +361,14 @@ def moved(value: Any, files: Mapping[str, Any], root: str) -> Any:
 def _differs(one, other):
     try:
         return bool(one != other)
-    except ValueError:  # arrays, which are never changed
+    except ValueError:  # of arrays, which never hold paths
         return False
 
 
 def _told(error, root):
-    """An exception for who asked: pickled ("error", it), with this worker's paths as they are there."""
-    if isinstance(error, (ValueError, OSError, FloatingPointError, MemoryError)):  # a line for the user
+    """An exception for the machine that asked: pickled ("error", exception), with that machine's paths in place of this
+    worker's."""
+    if isinstance(error, (ValueError, OSError, FloatingPointError, MemoryError)):  # shown to users as one line
         error.args = tuple(each.replace(root, "") if root and isinstance(each, str) else each for each in error.args)
         with contextlib.suppress(Exception):
             content = pickle.dumps(("error", error))

@@ -15,5 +15,6 @@ def touching(position: Array, boxes: Array) -> Array:
 
 
 def touching_people(position: Array) -> Array:
-    """Who touches whom of `position` (..., K, 2) [m]: (..., K, K), nobody oneself."""
+    """Whether each two of the people at `position` (..., K, 2) [m] touch each other: (..., K, K), false on the
+    diagonal."""
     return geometry.pairs_within(position, 2 * RADIUS + CONTACT_GAP)

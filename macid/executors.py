@@ -1,11 +1,12 @@
 """Where work is done: in this process (`Local`), or by workers on the machines of a Ray cluster (macid.cluster).
 
-Work is a function `work(job, send)` of a module; it calls `send(piece)` with whatever is ready, and all that it gives
-are these pieces. An executor runs it for several jobs, and hands what they send to `receive(index, piece)`, in this
+Work is a function `work(job, send)` of a module. It calls `send(piece)` whenever a piece of its result is ready; it
+returns nothing else. An executor runs it for several jobs, and hands each piece to `receive(index, piece)`, in this
 process.
 
-A job is asked for when it begins, and again when it was lost with a worker: it is a function that gives what is left to
-do, as far as `receive` was told, or None where nothing is. So a lost worker costs what it had not sent.
+A job is a function that gives the work still to do, judged by the pieces that `receive` got, or None where nothing is
+left. It is called when the job begins, and again when a worker was lost with it. So a lost worker costs only the work
+that it had not sent.
 """
 
 import dataclasses
@@ -19,15 +20,15 @@ from macid.files import UsageError, named
 
 EXECUTORS = ("local", "ray")
 MOST_WORKERS = 100_000
-_MOST_BYTES = 1 << 26  # of what travels to a worker beside the jobs
-_OURS = ("macid", "bson")  # installed on every machine
+_MOST_BYTES = 1 << 26  # of the files that travel to a worker beside the jobs
+_OURS = ("macid", "bson")  # packages installed on every machine
 
 Work = Callable[[Any, Callable[[Any], None]], None]
 Job = Callable[[], Any]
 
 
 class Executor(Protocol):
-    """Runs jobs; closed by a `with`."""
+    """Runs jobs; a `with` closes it."""
 
     workers: int | None  #: how many jobs run at once; None in this process, where they run one after the other
 
@@ -36,11 +37,10 @@ class Executor(Protocol):
     def __exit__(self, *error: Any) -> None: ...
 
     def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: "Carried") -> None:
-        """Runs `work` for every job, in whatever order, and calls receive(index, piece) with what each sends, as it
-        comes.
+        """Runs `work` for every job, in any order, and calls receive(index, piece) with each piece as it comes.
 
-        carried: what the jobs need of this machine. Raises what `work` raises, and UsageError where a worker can't do
-        it.
+        carried: what the jobs need of this machine. Raises the errors of `work`, and UsageError where a worker can't do
+        the work.
         """
         ...
 
@@ -57,7 +57,7 @@ class Local:
         pass
 
     def run(self, work: Work, jobs: Sequence[Job], receive: Callable[[int, Any], None], carried: "Carried") -> None:
-        """See Executor.run; `carried` is here already."""
+        """See Executor.run; the files of `carried` are here already."""
         for index, job in enumerate(jobs):
             if (left := job()) is not None:
                 work(left, functools.partial(receive, index))
@@ -72,9 +72,10 @@ def call(job: tuple[Callable[..., Any], dict[str, Any]], send: Callable[[Any], N
 def make_executor(name: str | Executor = "local", address: str | None = None, workers: int | None = None) -> Executor:
     """The executor `name` of EXECUTORS, or the Executor itself.
 
-    address: of the Ray cluster, HOST:PORT or "auto", which is that of this machine (default: the environment variable
-    RAY_ADDRESS, or else a cluster of this machine alone, for as long as it is used). workers: jobs at once (default:
-    the cluster's cores). Raises UsageError, before anything is begun, where Ray is not installed or nobody answers.
+    address: of the Ray cluster, HOST:PORT, or "auto" for this machine's cluster (default: the environment variable
+    RAY_ADDRESS, or else a cluster of this machine alone, which ends with the executor). workers: number of jobs at once
+    (default: the cluster's cores). Raises UsageError, before anything is begun, where Ray is not installed or nobody
+    answers.
     """
     if not isinstance(name, str):
         return name
@@ -94,9 +95,8 @@ def make_executor(name: str | Executor = "local", address: str | None = None, wo
 class Carried:
     """Files of this machine that jobs need, and that travel with them.
 
-    files: their absolute paths; a worker has them in a folder of its own, in which the current folder's place is the
-    worker's current folder, so that relative names lead to them. paths: folders among these in which modules are looked
-    for.
+    files: their absolute paths; a worker has them in a folder of its own, and works in that folder's copy of the
+    current folder, so that relative names lead to them. paths: those of their folders in which modules are looked for.
     """
 
     files: tuple[str, ...] = ()
@@ -116,23 +116,23 @@ class Carried:
         return {file: pathlib.Path(file).read_bytes() for file in self.files}
 
     def told(self) -> str:
-        """What travels, in a line; "" where nothing does."""
+        """The files that travel, in a line; "" without any."""
         shown = [pathlib.Path(file).name for file in self.files]
         more = f" and {len(shown) - 10} more" if len(shown) > 10 else ""
         return f"to the workers go: {', '.join(shown[:10])}{more}" if shown else ""
 
 
 def carry_files(files: Iterable[str | pathlib.Path]) -> Carried:
-    """`files` as Carried, those that are there."""
+    """A Carried of those `files` that exist."""
     return Carried(tuple(str(path.absolute()) for path in map(pathlib.Path, files) if path.is_file()))
 
 
 def carry_module(name: str, extra: Iterable[str | pathlib.Path] = (), top: str | pathlib.Path | None = None) -> Carried:
-    """The loaded module `name` with the modules beside it that are loaded by now, as it imported them; nothing of one
-    that is installed, as that has to be installed on every machine.
+    """The loaded module `name` with the modules beside it that are loaded by now, as it imported them. An installed
+    module does not travel: it has to be installed on every machine.
 
-    extra: further files, named from its folder. top: the folder below which modules count as beside it (default: that
-    in which the module, or its package, is found).
+    extra: further files, named from its folder. top: the folder below which modules count as beside it (default: the
+    folder in which the module, or its package, is found).
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     if not file or name.partition(".")[0] in _OURS or _installed(file):
@@ -155,7 +155,7 @@ def carry_module(name: str, extra: Iterable[str | pathlib.Path] = (), top: str |
 
 
 def _installed(file):
-    """Whether a module's file is of Python or of an installed package."""
+    """Whether a module's file belongs to Python or to an installed package."""
     import sysconfig
 
     parts = pathlib.Path(file).parts

@@ -1,7 +1,8 @@
-"""One resolver for every kind of name: a built-in, one's own `module:attribute` or `file.py:attribute`, or a data file.
+"""One resolver for every kind of name: a built-in, the user's own `module:attribute` or `file.py:attribute`, or a data
+file.
 
 A `Kind` is one kind of thing that users name: a pedestrian model, an agent, a map. It says which names come with the
-project, which files are read, and what an object of somebody's own has to be.
+project, which files are read, and which objects of the user's own are valid.
 """
 
 import contextlib
@@ -23,11 +24,11 @@ from macid.files import UsageError
 T = TypeVar("T")
 _LIBRARY = sysconfig.get_paths()["stdlib"]  # Python's own files
 _MISSING = object()
-_SHOWN = 40  # names in a message
+_SHOWN = 40  # names listed in a message
 
 
 class Failed(UsageError, RuntimeError):
-    """Somebody's own code raised an error, the cause, or called exit()."""
+    """The user's own code raised an error, the cause, or called exit()."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,17 +39,17 @@ class Kind(Generic[T]):
     `file.py[:attribute]`.
     """
 
-    what: str  #: as messages call it: "pedestrian model"
+    what: str  #: its name in messages: "pedestrian model"
     built_in: Mapping[str, Any] = dataclasses.field(default_factory=dict)  #: {name: the object, or "module:attribute"}
     shipped: Callable[[], Sequence[str]] = tuple  #: names of data files that come with the project
     listed: Callable[[], Sequence[str]] | None = None  #: the names that messages list; None: all
-    read: Callable[[str], T] | None = None  #: a shipped name, or a data file, to the object
+    read: Callable[[str], T] | None = None  #: reads a shipped name or a data file; gives the object
     files: tuple[str, ...] = ()  #: endings of data files
-    own: str = "attribute"  #: what `module:...` names: "function", "class"
-    attribute: str = ""  #: of a file.py, where none is given; "": one must be given
-    check: Callable[[Any, str], T] | None = None  #: of (somebody's own object, name): what `load` gives, or an error
-    error: type[UsageError] | type[ValueError] = UsageError  #: that a wrong name raises
-    failed: type[Exception] = Failed  #: that failing code of somebody's own raises
+    own: str = "attribute"  #: the kind of object at `module:...`: "function", "class"
+    attribute: str = ""  #: the attribute of a file.py where none is given; "": one must be given
+    check: Callable[[Any, str], T] | None = None  #: (own object, its name) -> `load`'s result, or an error
+    error: type[UsageError] | type[ValueError] = UsageError  #: the error for a wrong name
+    failed: type[Exception] = Failed  #: the error for failing code of the user's own
 
     def names(self) -> list[str]:
         """The names that come with the project, for messages and lists."""
@@ -56,7 +57,7 @@ class Kind(Generic[T]):
 
     @property
     def forms(self) -> str:
-        """What may be given beside the names: "a 'module:function', or a .npz file"; "" where that is nothing."""
+        """The forms that are valid beside the names: "a 'module:function', or a .npz file"; "" without any."""
         words = []
         if self.check is not None or self.attribute:
             attribute = f"[:{self.own}]" if self.attribute else f":{self.own}"
@@ -69,17 +70,18 @@ class Kind(Generic[T]):
 
     @property
     def help(self) -> str:
-        """What may be given, as a sentence."""
+        """The valid names and forms, as a sentence."""
         named = f"one of {', '.join(self.names())}" if self.names() else ""
         between = "" if not (named and self.forms) else ", " if ", or " in self.forms else ", or "
         return f"Choose {named}{between}{self.forms}."
 
     def unknown(self, name: Any) -> Exception:
-        """The error that `name` is none of these."""
+        """The error for a `name` that is none of these."""
         return self.error(f"Unknown {self.what} {shown(name)}. {self.help}")
 
     def load(self, name: str) -> T:
-        """What `name` stands for. Raises `error`, with the valid choices, and `failed` where one's own code fails."""
+        """The object that `name` stands for. Raises `error`, with the valid choices, and `failed` where the user's own
+        code fails."""
         if not isinstance(name, str):
             raise self.unknown(name)
         if name in self.built_in:
@@ -95,7 +97,7 @@ class Kind(Generic[T]):
         return self.own_object(name)
 
     def own_object(self, name: str) -> T:
-        """What `module:attribute` or `file.py[:attribute]` names, checked. Raises as `load`."""
+        """The object that `module:attribute` or `file.py[:attribute]` names, checked. Raises as `load`."""
         module, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
         if (module or name).endswith(".py"):
             path = module or name
@@ -113,7 +115,8 @@ class Kind(Generic[T]):
 
     @contextlib.contextmanager
     def running(self, name: str, doing: str) -> Iterator[None]:
-        """Runs code of somebody's own `name`. Raises `failed`, of one line: what the code raised, and in which line."""
+        """Runs code of the user's own `name`. An error there becomes `failed`, with one line: the error, its file
+        and its line number."""
         try:
             yield
         except (Exception, SystemExit) as error:
@@ -122,14 +125,14 @@ class Kind(Generic[T]):
     def _from_module(self, module: str, attribute: str, name: str) -> Any:
         if not all(part.isidentifier() for part in module.split(".")):
             raise self.error(f"{self._called(name)}: {shown(module)} is no module's name. {self.help}")
-        if os.getcwd() not in sys.path:  # a console script has no current folder there
+        if os.getcwd() not in sys.path:  # sys.path of a console script lacks the current folder
             sys.path.insert(0, os.getcwd())
         try:
             with self.running(name, f"importing '{module}'"):
                 loaded = importlib.import_module(module)
         except self.failed as error:
             cause = error.__cause__
-            if isinstance(cause, ModuleNotFoundError) and cause.name and module.startswith(cause.name):  # not there
+            if isinstance(cause, ModuleNotFoundError) and cause.name and module.startswith(cause.name):  # missing
                 raise self.error(f"{self._called(name)}: can't import '{module}' ({cause}). {self.help}") from None
             raise
         return self._attribute(loaded, attribute, name)
@@ -138,10 +141,10 @@ class Kind(Generic[T]):
         if not pathlib.Path(path).is_file():
             raise self.error(f"{self._called(name)}: there is no file {shown(path)}. {self.help}")
         spec = importlib.util.spec_from_file_location(own_module(path), path)
-        assert spec is not None and spec.loader is not None  # of a file that ends in .py
+        assert spec is not None and spec.loader is not None  # true of a file that ends in .py
         module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
         folder = str(pathlib.Path(path).resolve().parent)
-        if folder not in sys.path:  # for what lies beside the file
+        if folder not in sys.path:  # for modules beside the file
             sys.path.insert(0, folder)
         with self.running(name, f"running '{path}'"):
             spec.loader.exec_module(module)
@@ -168,13 +171,13 @@ def own_module(name: str) -> str:
 
 
 def code_file(name: str) -> pathlib.Path | None:
-    """The file of somebody's own code `name`, once loaded; None for other names, and for compiled code."""
+    """The file of the user's own code `name`, once loaded; None for other names, and for compiled code."""
     file = getattr(sys.modules.get(own_module(name)), "__file__", None)
     return pathlib.Path(file) if file else None
 
 
 def raised(error: BaseException, ours: Sequence[str] = ()) -> str:
-    """What somebody's code raised, and where: the last line of it that is not of Python, of an installed package, or of
+    """The error of the user's code and its place: the last line of the traceback outside Python, installed packages and
     the files `ours`."""
     if isinstance(error, SystemExit):
         what = f"called exit({'' if error.code is None else shown(error.code)})"

@@ -1,9 +1,9 @@
-"""Agents: whatever turns an observation into an action.
+"""Agents, which turn observations into actions.
 
 An agent is a function `agent(observation) -> action`, or a class whose objects are such functions. A class is
 instantiated once a world. If its constructor has an argument `setting`, or one argument without a default, it is given
-the Setting in which the agent is to drive (bson.agents.contract), and may raise Unsuited where the agent can't. Its
-`reset(seed)`, if it has one, is called when an episode begins, with the episode's seed.
+the Setting in which the agent is to drive (bson.agents.contract), and may raise Unsuited where the agent can't drive
+there. Its `reset(seed)`, if it has one, is called when an episode begins, with the episode's seed.
 
 observation: the dict of one world (see bson.interfaces.gym.BsonEnv). action: (2,) in [-1, 1], numbers, an array, or a
 torch tensor, which is detached from its gradient and brought to the CPU.
@@ -70,13 +70,13 @@ def agent_names() -> list[str]:
 
 
 def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
-    """The agent `name`: of `agent_names()`, `module:attribute`, `file.py[:attribute]` (attribute `agent` if not given),
-    or a trained one's file .npz; or the agent itself, a function or a class.
+    """The agent `name`, as a factory. name: one of `agent_names()`, `module:attribute`, `file.py[:attribute]` (without
+    an attribute: `agent`), a trained agent's .npz file, or the agent itself, a function or a class.
 
-    Returns a factory: called with a Setting (without: the default one), it gives a callable for one world; its `track`
-    and `sensor` name what the agent wants to be given (attributes of the agent; "local" and "lidar2d" without). The
-    factory raises Unsuited where the agent can't drive in that setting. untrained: whether a trained one may drive in
-    another setting than it was trained in. Raises AgentError.
+    Called with a Setting (without one: the default Setting), the factory gives a callable for one world. Its `track`
+    and `sensor` name what the agent wants to be given: the agent's own attributes of these names, or else "local" and
+    "lidar2d". It raises Unsuited where the agent can't drive in that setting. untrained: whether a trained agent may
+    drive in a setting other than the one in which it was trained. Raises AgentError.
     """
     if not isinstance(name, str):
         return _Factory(name, agent_label(name))
@@ -87,7 +87,8 @@ def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
 
 
 def agent_label(agent: Any) -> str:
-    """What tables call an agent: its name, of a function or a class module:name, or what it is of."""
+    """The agent's name in tables: a text as it is; for a function or a class `module:name`; for any other object the
+    `module:name` of its class."""
     if isinstance(agent, str):
         return agent
     kind = agent if hasattr(agent, "__qualname__") else type(agent)
@@ -102,7 +103,7 @@ def _own(found, name):
 
 
 class _Factory:
-    """The AgentFactory of `found`, a function, which is the agent of all worlds, or a class."""
+    """The AgentFactory of `found`: a function, which is then the agent of every world, or a class."""
 
     def __init__(self, found, name):
         self._found, self._name, self._made = found, name, []
@@ -115,7 +116,7 @@ class _Factory:
                     f"Agent '{name}': its class must be constructible without arguments, or with the Setting alone "
                     f"({error})."
                 ) from None
-            if not self.takes_setting:  # it fails now, if it does
+            if not self.takes_setting:  # a constructor that fails is to fail now, not before the first episode
                 self._made.append(self())
         with its_code(name, "its track or sensor"):
             self.track, self.sensor = getattr(found, "track", "local"), getattr(found, "sensor", "lidar2d")

@@ -23,7 +23,7 @@ _OURS = (__file__, str(pathlib.Path(__file__).with_name("__init__.py")))
 
 
 class AgentError(UsageError):
-    """An agent can't be found, or did what no agent may do."""
+    """An agent can't be found, or broke the contract of agents."""
 
 
 class AgentFailed(AgentError, Failed):
@@ -32,7 +32,7 @@ class AgentFailed(AgentError, Failed):
 
 class Unsuited(AgentError):
     """An agent refuses to drive in a Setting: raised where it is made, before the first step, with the reason, e.g.
-    Unsuited("needs a Lidar3D."). The agent's name is put before."""
+    Unsuited("needs a Lidar3D."). The caller puts the agent's name before the reason."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,8 +52,8 @@ class MapFrame:
 class Setting:
     """What an agent drives in."""
 
-    control_period: float  #: from one observation, and action, to the next [s]
-    robot: RobotConfig  #: limits, whose shares actions are [m/s], [rad/s], wheels and footprint [m]
+    control_period: float  #: from one observation and its action to the next observation [s]
+    robot: RobotConfig  #: its limits, of which actions are shares [m/s], [rad/s]; its wheels and footprint [m]
     track: str  #: "local" or "global"
     sensors: tuple[Sensor, ...]  #: with their configurations: angles, ranges, places, noise, rates
     map: MapFrame
@@ -79,7 +79,7 @@ class Setting:
 
     @property
     def top(self) -> np.ndarray:
-        """(2,): what an action of 1 stands for [m/s, rad/s]."""
+        """The command (2,) that an action of 1 stands for [m/s, rad/s]."""
         return np.array([self.robot.max_speed, self.robot.max_yaw_rate])
 
     @property
@@ -111,25 +111,25 @@ class Agent(Protocol):
 class AgentFactory(Protocol):
     """Makes agents, one a world."""
 
-    track: str  #: that its agents want
-    sensor: Any  #: likewise, as make_track takes it
+    track: str  #: the track that its agents want
+    sensor: Any  #: the sensors that its agents want, as make_track takes them
 
     def __call__(self, setting: Setting | None = None) -> Agent:
         """An agent for one world of `setting`; None: the default one, of its track and sensor.
 
-        Raises AgentError; of that, Unsuited where the agent refuses to drive there."""
+        Raises AgentError, as its subclass Unsuited where the agent refuses to drive there."""
         ...
 
 
 def takes_setting(kind: Callable) -> bool:
     """Whether `kind`, a class or a function that makes agents, is called with the Setting.
 
-    It is where it has an argument `setting`, or one argument without a default; not where it needs none. Raises
-    TypeError where it needs anything else.
+    `kind` is called with the Setting where it has an argument `setting`, or exactly one argument without a default; it
+    is called without where it needs no argument. Raises TypeError where `kind` needs any other argument.
     """
     try:
         signature = inspect.signature(kind)
-    except ValueError:  # a class of compiled code has none
+    except ValueError:  # a compiled class may have no signature
         return False
     named = signature.parameters.get("setting")
     if named and named.kind is not named.POSITIONAL_ONLY:
@@ -154,7 +154,8 @@ def made_for(kind: Callable, setting: Setting) -> Agent:
 
 
 def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: LocalTrack) -> None:
-    """Makes an agent for each setting among the tasks `configs`, so that one that refuses does so before anything runs.
+    """Makes an agent for each setting among the tasks `configs`, so that an agent that refuses one does so before
+    anything runs.
 
     Raises AgentError, as `factory` does.
     """
@@ -167,8 +168,8 @@ def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: Loca
 
 @contextlib.contextmanager
 def its_code(name: str, doing: str) -> Iterator[None]:
-    """Runs code of the agent `name`. Raises AgentFailed, of one line: what the code raised, and in which line of which
-    file; Unsuited stays Unsuited."""
+    """Runs the own code of the agent `name`. An error there becomes AgentFailed, with one line: the error, its file and
+    its line number. Unsuited stays Unsuited."""
     try:
         yield
     except Unsuited as error:
@@ -187,8 +188,8 @@ def reset_agent(agent: Agent, seed: int, name: str = "agent") -> None:
 def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent") -> np.ndarray:
     """The action (2,) float of `agent` for one world's observation, checked.
 
-    Raises AgentError for what is no action, or where the agent asks for what isn't observed, and AgentFailed, from the
-    cause, where it fails otherwise.
+    Raises AgentError where the agent returns no valid action, or asks for a key that the observation doesn't have.
+    Raises AgentFailed, from the cause, where the agent's code fails in any other way.
     """
     try:
         action = agent(observation)
@@ -204,7 +205,7 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
         raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error
     try:
         array = _as_numbers(action)
-    except (Exception, SystemExit) as error:  # whatever an array of somebody's own raises
+    except (Exception, SystemExit) as error:  # an array of the user's own type may raise anything
         raise AgentError(
             f"Agent '{name}' returned {_kind(action)}, which NumPy can't read as numbers: {raised(error, _OURS)}; "
             f"{_ACTION}."
@@ -225,7 +226,7 @@ def _kind(value):
 
 
 def _as_numbers(action):
-    """`action` as an array of float. Raises whatever keeps it from being one."""
+    """`action` as an array of float. Raises any error that the conversion raises."""
     if isinstance(action, list | tuple):
         action = [_detached(one) for one in action]
     array = np.asarray(_detached(action))

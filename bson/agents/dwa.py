@@ -1,21 +1,21 @@
 """The Dynamic Window Approach on the 2D LIDAR (Fox, Burgard and Thrun, IEEE Robotics and Automation Magazine, 1997).
 
 Each control period the agent looks at the velocities (v, w) that the motors can reach within it: the dynamic window.
-Each is an arc, and the scan says how far the robot's footprint can go along it. A velocity is admissible where the
-robot can stop before it touches anything. Of these it takes the one with the most of
+Each velocity is an arc, and the scan says how far the robot's footprint can go along it. A velocity is admissible where
+the robot can stop before it touches anything. Of the admissible velocities the agent takes the one with the greatest
 
     heading_weight * heading + clearance_weight * clearance + speed_weight * speed,
 
-each in [0, 1]: how well the robot looks towards the goal a moment later, how far the arc is free and how much room it
-leaves, and how fast it is. Where none is admissible, or the best is to stand, the robot turns on the spot until there
-is a way ahead, or backs out where it can't turn.
+each term in [0, 1]. The heading says how well the robot looks towards the goal a moment later, the clearance how far
+the arc is free and how much room it leaves, the speed how fast the robot drives. Where no velocity is admissible, or
+the best is to stand, the robot turns on the spot until there is a way ahead, or backs out where it can't turn.
 
-Two things are not in the paper. Clearance has the room beside the arc in it, and very close to something the robot is
-slow: else it drives on beside somebody whose way slowly meets its own, until they touch. Speed counts less beside the
-goal and away from it: else it circles the goal.
+Two things are not in the paper. The clearance includes the room beside the arc, and very close to something the robot
+is slow: otherwise it drives on beside a person whose way slowly meets its own, until they touch. The speed counts less
+close to the goal and when leading away from it: otherwise the robot circles the goal.
 
-People are what the present scan shows of them, as if they stood, and there is neither memory nor map: dead ends may
-hold the robot. Both are limits of the method.
+The agent knows people only from the present scan, as if they stood still. It has neither memory nor map, so dead ends
+may hold the robot. Both are limits of the method.
 """
 
 import math
@@ -33,38 +33,38 @@ class DwaConfig:
     """What `Dwa` assumes and weighs. Metres, seconds, radians; weights have no unit.
 
     The shipped robots all take about 0.3 s to the top speed and 0.1 s to the top yaw rate that they are built for, so
-    accelerations are given in these.
+    accelerations are given in top speeds and top yaw rates a second.
     """
 
     longest_period: float = 0.5  # between two calls: a person walks 0.7 m meanwhile
-    acceleration: float = 3.25  # that the tyres give, in top speeds a second [1/s]
+    acceleration: float = 3.25  # with which the tyres speed the robot up, in top speeds a second [1/s]
     yaw_acceleration: float = 9.0  # in top yaw rates a second [1/s]
-    braking: float = 1.5  # that a stop is sure to have, in top speeds a second [1/s]
-    yaw_braking: float = 5.0  # in top yaw rates a second [1/s]
-    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns in more than it is told to [m/s2]
-    speeds: int = 9  # in the window
+    braking: float = 1.5  # deceleration on which a stop can count, in top speeds a second [1/s]
+    yaw_braking: float = 5.0  # likewise, in top yaw rates a second [1/s]
+    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns more sharply than commanded [m/s2]
+    speeds: int = 9  # number of speeds in the window
     rates: int = 15
 
-    sector: float = 2.25  # of the scan, of which the nearest point counts [deg]
-    far: float = 2.5  # way along an arc that is looked at
-    far_turn: float = 2.0  # and turn, where that is less [rad]
-    steps: int = 14  # of an arc
+    sector: float = 2.25  # width of a sector of the scan, of which only the nearest point counts [deg]
+    far: float = 2.5  # length of an arc that is looked at
+    far_turn: float = 2.0  # turn along an arc that is looked at, if it comes first [rad]
+    steps: int = 14  # number of steps of an arc
     near: float = 1.2  # gap below which room is short
-    margin: float = 0.06  # that the footprint grows by
-    margin_per_speed: float = 0.1  # and more for each m/s [s]
+    margin: float = 0.06  # by which the footprint is grown
+    margin_per_speed: float = 0.1  # further margin for each m/s [s]
     slack: float = 0.1  # within the margin: the share of the gap by which the robot may come closer
-    pass_time: float = 0.05  # the present gap over this is the top speed [s]
-    creep: float = 0.4  # that may be driven at any gap, or half the top speed, if that is less [m/s]
+    pass_time: float = 0.05  # the top speed is the present gap divided by this [s]
+    creep: float = 0.4  # speed allowed at any gap; at most half the top speed [m/s]
 
-    heading_time: float = 0.3  # after which the heading counts
+    heading_time: float = 0.3  # the heading is judged after this time
     heading_weight: float = 1.5
     clearance_weight: float = 2.0
     speed_weight: float = 1.0
-    approach_time: float = 1.0  # speed that would reach the goal sooner is worth no more
+    approach_time: float = 1.0  # a speed that would reach the goal sooner than this is worth no more
 
-    standing: float = 0.05  # share of the top speed below which it stands
-    escape_rate: float = 1.2  # of turning on the spot, or the top yaw rate, if that is less [rad/s]
-    escape_speed: float = 0.4  # of backing out, or half the top speed, if that is less [m/s]
+    standing: float = 0.05  # the robot stands below this share of its top speed
+    escape_rate: float = 1.2  # yaw rate of turning on the spot; at most the top yaw rate [rad/s]
+    escape_speed: float = 0.4  # speed of backing out; at most half the top speed [m/s]
 
 
 class Dwa:
@@ -76,7 +76,7 @@ class Dwa:
         robot, self.config, self._limit = setting.robot, config, setting.top
         self._period, self._scan = setting.control_period, Scan(setting, config.longest_period)
         self._sector = self._scan.beams_in(math.radians(config.sector))
-        self._half = np.array([robot.half_length, robot.half_width])  # of the footprint
+        self._half = np.array([robot.half_length, robot.half_width])  # half the footprint's sides [m]
         self._reach = config.far + 2 * self._half[0] + (self._scan.period - self._period) * robot.max_speed
         self._acceleration = np.array([config.acceleration, config.yaw_acceleration]) * setting.built_for
         self._braking = np.array([config.braking, config.yaw_braking]) * setting.built_for
@@ -88,8 +88,8 @@ class Dwa:
 
     def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
-        self._steps, self._met = 0, np.zeros((0, 2))  # since the episode began; points (m, 2) [m] that were met
-        self._side = 0.0  # to which it turns on the spot, until there is a way ahead: 1 left, -1 right, 0 neither
+        self._steps, self._met = 0, np.zeros((0, 2))  # steps so far; points (m, 2) [m] of the last scan
+        self._side = 0.0  # where the robot turns on the spot until a way ahead is free: 1 left, -1 right, 0 neither
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
@@ -139,11 +139,11 @@ class Dwa:
         return offset @ np.array([[c, -s], [s, c]])
 
     def _clearance(self, speed, rate, points, distance):
-        """Of the arcs of `speed` (n,) and `rate` (n,): the clearance (n,) in [0, 1], and whether it is admissible (n,).
+        """The clearance (n,) in [0, 1] of the arcs of `speed` and `rate` (n,), and whether each is admissible (n,).
 
-        An arc ends `far` or `far_turn` on, or where the footprint comes closer to a point than the margin; who is
-        within the margin already may go on, but hardly closer. The clearance is the mean of gap / near, at most 1, as
-        far as the goal at `distance` [m] is, and 0 beyond the end. What is too fast for the present gap is never
+        An arc ends `far` or `far_turn` on, or where the footprint comes closer to a point than the margin; a robot that
+        is within the margin already may go on, but come hardly closer. The clearance is the mean of gap / near, at most
+        1, as far as the goal at `distance` [m] is, and 0 beyond the end. A speed too high for the present gap is never
         admissible.
         """
         c = self.config
@@ -165,7 +165,7 @@ class Dwa:
         if not len(points):
             return np.full(time.shape, self.config.far)
         turn = rate * time
-        chord = speed * time * np.sinc(turn / (2 * np.pi))  # at half the turn
+        chord = speed * time * np.sinc(turn / (2 * np.pi))  # of the arc, in the direction at half the turn
         x, y = chord * np.cos(turn / 2), chord * np.sin(turn / 2)
         c, s = np.cos(turn), np.sin(turn)
         rows = np.column_stack([points, np.ones(len(points))]).astype(np.float32)  # into the footprint's frame

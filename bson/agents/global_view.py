@@ -1,4 +1,4 @@
-"""What an agent of the Global track makes of its observations: the map as a grid, and people's velocities."""
+"""The map as a grid, and people's velocities, worked out from the observations of the Global track."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,8 @@ from macid import geometry
 
 
 class GlobalView:
-    """The present, in the world frame [m, m/s, rad]: `see` each observation of an episode in turn.
+    """The present state of a world, in the world frame [m, m/s, rad]. Call `see` with each observation of an episode in
+    turn.
 
     Raises Unsuited on another track than the Global one.
     """
@@ -34,7 +35,8 @@ class GlobalView:
         return self._map
 
     def see(self, observation: Mapping[str, np.ndarray]) -> None:
-        """Takes in a Global observation (see bson.interfaces.gym.BsonEnv). People stand until they were seen twice."""
+        """Takes in a Global observation (see bson.interfaces.gym.BsonEnv). People count as standing until they were
+        seen twice."""
         first = self._map is None
         if first:
             resolution = float(observation["map_resolution"][0])

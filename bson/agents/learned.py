@@ -1,7 +1,8 @@
 """Agents that were trained: an MLP on `bson.features`, run by NumPy alone.
 
-One is kept by macid.policy.write_network: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it scores,
-"output": "clip" or "tanh", and "setting": in what it was trained). Those that are shipped lie in assets/agents.
+macid.policy.write_network writes such an agent: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it
+scores, "output": "clip" or "tanh", and "setting": the setting in which it was trained). The shipped agents lie in
+assets/agents.
 """
 
 import dataclasses
@@ -32,8 +33,9 @@ _UNITS = {"control_period": " s", "max_speed": " m/s", "max_yaw_rate": " rad/s",
 class Learned:
     """An agent for one world on the Local track with the 2D LIDAR; stateful, since it remembers its last scans.
 
-    layers: [(weight (in, out), bias (out,)), ...] with ReLU between; output: "clip" or "tanh", what makes an action of
-    the last layer's output; top: of the robot that it was trained on, see bson.features.motion.
+    layers: [(weight (in, out), bias (out,)), ...] with ReLU between; output: "clip" or "tanh", the function that turns
+    the last layer's output into an action; top: the top speed and yaw rate of the robot that it was trained on, see
+    bson.features.motion.
     """
 
     track, sensor = "local", "lidar2d"
@@ -56,7 +58,7 @@ class Learned:
 
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for features (N, FEATURES)."""
-        with np.errstate(over="ignore", invalid="ignore"):  # whoever acts by it refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
             for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight + bias, 0.0)
             weight, bias = self.layers[-1]
@@ -69,7 +71,8 @@ def names() -> list[str]:
 
 
 class _Trained(msgspec.Struct):
-    """In what a policy was trained, as its recipe has it; fields that it lacks are not compared."""
+    """The setting in which a policy was trained, as its recipe has it; fields that the recipe lacks are not
+    compared."""
 
     control_period: float
     robot: dict[str, str | float]
@@ -77,7 +80,7 @@ class _Trained(msgspec.Struct):
 
 
 def setting_document(setting: Setting) -> dict:
-    """What a recipe notes as the "setting" in which a policy was trained, as JSON has it.
+    """The "setting" in which a policy was trained, as its recipe notes it in JSON.
 
     Raises Unsuited where there is no Lidar2D "lidar"."""
     return {
@@ -98,7 +101,7 @@ def _lidar(setting):
 
 
 def _trained(recipe, path):
-    """The _Trained of a recipe. One without a "setting" has the fields of TaskConfig that differed, as "task"; its
+    """The _Trained of a recipe. A recipe without a "setting" has the fields of TaskConfig that differed, as "task"; its
     policy was trained with the default sensors. Raises UsageError."""
     called = f"the policy's recipe '{path.with_suffix('.json')}'"
     if "setting" in recipe:
@@ -118,7 +121,7 @@ def _trained(recipe, path):
 
 
 def _compared(trained, setting):
-    """(what it was trained with, what is given), each [text, ...], of all that differs."""
+    """Every difference between the setting of training and the given one: (texts of the first, texts of the second)."""
     found = [("", {"control_period": trained.control_period}, {"control_period": setting.control_period})]
     ours, theirs = dict(trained.robot), dataclasses.asdict(setting.robot)
     names = [pathlib.Path(str(robot.pop("name"))).stem for robot in (ours, theirs)]
@@ -145,7 +148,7 @@ def _shown(value):
 
 
 class Factory:
-    """The AgentFactory of the policy `name` with `layers` and `recipe`, of the file `path`."""
+    """The AgentFactory of the policy `name` with `layers` and `recipe`, read from the file `path`."""
 
     track, sensor, takes_setting = Learned.track, Learned.sensor, True
 
@@ -169,7 +172,8 @@ class Factory:
         return Learned(self._layers, self._output, self._top)
 
     def _check(self, setting):
-        """Raises Unsuited where `setting` is another than it was trained in, or, untrained, where it can't even try."""
+        """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy
+        can't even try."""
         try:
             _lidar(setting)
         except Unsuited as error:
@@ -185,7 +189,8 @@ class Factory:
 
 
 def load(name: str, untrained: bool = False) -> Factory:
-    """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for what is none.
+    """A factory of the agent `name`: a shipped one, or a .npz file. Raises UsageError (a ValueError) for any other
+    name.
 
     The factory raises Unsuited for a Setting with another robot, control period or LIDAR than it was trained with,
     unless `untrained`.

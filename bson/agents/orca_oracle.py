@@ -1,13 +1,14 @@
 """ORCA on ground truth: an agent that knows where everybody is and how they walk (Global track).
 
-The half-planes and linear programmes are those of the pedestrians' ORCA (macid.pedestrians.orca). The robot differs
-from them in three things.
+The agent uses the half-planes and linear programmes of the pedestrians' ORCA (macid.pedestrians.orca). The robot
+differs from a pedestrian in three things.
 
 - It can't step aside. So ORCA moves a point `ahead` of its centre: speed and yaw rate (v, w) give that point the
   velocity (v, ahead w) in the robot's frame, so that it can be moved to any side (Snape et al., "Smooth and
   collision-free navigation for multiple robots under differential-drive constraints", IROS 2010). The limits are
   further half-planes, and the disc around the point covers the whole footprint.
-- People don't know that it follows ORCA, and needn't give way: it takes the share `responsibility` of each avoidance.
+- People don't know that the robot follows ORCA, and needn't give way: the robot takes the share `responsibility` of
+  each avoidance.
 - Walls are the rectangles of the map's occupied cells, and the preferred velocity leads to the next corner of an A*
   path, as ORCA alone finds no way out of a dead end.
 """
@@ -36,17 +37,17 @@ from macid.state import RADIUS, parking_place
 class OrcaOracleConfig:
     """What `OrcaOracle` assumes. Metres and seconds."""
 
-    ahead: float = 0.2  # of the robot's centre, the point that ORCA moves
-    preferred_speed: float = 1.8  # or the robot's top speed, if that is less [m/s]
+    ahead: float = 0.2  # distance from the robot's centre to the point that ORCA moves
+    preferred_speed: float = 1.8  # at most the robot's top speed [m/s]
     max_back_speed: float = 0.6  # likewise [m/s]
     responsibility: float = 1.0  # the robot's share of an avoidance; 0.5 counts on people's half
-    neighbors: int = 10  # the nearest ones count
-    horizon: float = 2.0  # for people
-    margin: float = 0.05  # kept from people and walls
-    walls: int = 8  # likewise
+    neighbors: int = 10  # number of the nearest people who count
+    horizon: float = 2.0  # looked ahead for people
+    margin: float = 0.05  # extra distance kept from people and walls
+    walls: int = 8  # number of the nearest walls that count
     wall_horizon: float = 1.0
-    path_clearance: float = 0.15  # of the path from walls, beside the disc
-    replan: float = 1.0  # between two plans at least
+    path_clearance: float = 0.15  # extra distance between the path and walls, beside the disc's radius
+    replan: float = 1.0  # least time between two plans
     longest_period: float = 0.5  # between decisions: a person walks 0.7 m meanwhile
 
 
@@ -65,7 +66,7 @@ class OrcaOracle:
             preferred_speed=min(config.preferred_speed, robot.max_speed),
             max_back_speed=min(config.max_back_speed, robot.max_speed),
         )
-        self.radius = math.hypot(robot.half_length + config.ahead, robot.half_width)  # of the disc around the point
+        self.radius = math.hypot(robot.half_length + config.ahead, robot.half_width)  # of the point's disc
         self._view = GlobalView(setting)
         self.reset()
 
@@ -73,7 +74,7 @@ class OrcaOracle:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._view.reset()
         self._grid = self._boxes = self._path = None
-        self._planned = 0  # decisions ago
+        self._planned = 0  # decisions since the last plan
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
@@ -105,7 +106,8 @@ class OrcaOracle:
         return np.clip([forward / robot.max_speed, aside / self.config.ahead / robot.max_yaw_rate], -1.0, 1.0)
 
     def _waypoint(self, grid, point):
-        """Where (2,) on the free `grid` to go from `point` (2,): the farthest corner of the path that is in sight."""
+        """The place (2,) on the free `grid` to go to from `point` (2,): the farthest corner of the path that is in
+        sight."""
         path = self._path
         while path is not None and len(path) > 1 and grid.lines_are_free(point, path[1]):
             path = path[1:]
@@ -117,7 +119,8 @@ class OrcaOracle:
         return path[0]
 
     def _plan(self, grid, point):
-        """The corners (N, 2) of a shortest path from `point` (2,) to the goal; the goal alone where there is none."""
+        """The corners (N, 2) of a shortest path from `point` (2,) to the goal; the goal alone where there is no
+        path."""
         goal = self._view.goal
         try:
             path = plan("astar", grid, grid.nearest_free(point), grid.nearest_free(goal))
@@ -127,7 +130,7 @@ class OrcaOracle:
 
 
 def _nearest(rows, distance, count):
-    """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with zeros at places out of reach."""
+    """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with rows that are out of reach."""
     nearest = rows[np.argsort(distance, kind="stable")[:count]]
     missing = np.zeros((count - len(nearest), rows.shape[1]))
     missing[:, :2] = parking_place(np.arange(len(missing)))
@@ -140,7 +143,7 @@ def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, bo
     people = ORCA(
         period,
         preferred_speed=config.preferred_speed,
-        radius=(radius + RADIUS) / 2,  # of both, as ORCA knows one radius only
+        radius=(radius + RADIUS) / 2,  # the mean of both radii, as ORCA takes one radius for everybody
         margin=config.margin / 2,
         max_neighbors=config.neighbors,
         horizon=config.horizon,
@@ -156,7 +159,7 @@ def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, bo
     normal, offset = people.neighbor_half_planes(position, velocity)
     normal, half = normal[0], offset[0]
     now = normal @ velocity[0]
-    offset = now + 2.0 * config.responsibility * (half - now)  # half an avoidance is the pedestrians' share
+    offset = now + 2.0 * config.responsibility * (half - now)  # the pedestrians' ORCA gives each half an avoidance
     wall_normal, wall_offset = walls.obstacle_half_planes(position[:1], velocity[:1], boxes)
     ahead = geometry.heading(yaw)
     left = left_of(ahead)
@@ -171,7 +174,7 @@ def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, bo
 def occupied_boxes(grid: Grid) -> np.ndarray:
     """Rectangles (N, 5), as in `macid.geometry`, that cover the occupied cells of `grid`, and the map's edge.
 
-    Cells that lie in a row are one, and equal rows above each other.
+    Neighbouring cells of a row share a rectangle, and so do equal stretches of rows above each other.
     """
     padded = np.pad(grid.occupied, 1, constant_values=True)
     done = np.zeros_like(padded)

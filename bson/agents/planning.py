@@ -17,15 +17,15 @@ from bson.planners import (
     social_cost,
 )
 
-_CORNER = 0.09  # kept from walls beside the robot's circle: what a follower cuts of a corner [m]
+_CORNER = 0.09  # extra distance from walls beside the robot's circle: a follower cuts corners by about as much [m]
 _LONGEST = 0.5  # between decisions: a person walks 0.7 m meanwhile [s]
 _REPLAN = 0.3  # between plans [s]
-_NEAR = 10.0  # of way in which a path's detours are taken out: it is planned anew long before more is driven [m]
-_AHEAD, _QUIET = 4.0, 2.0  # RRT plans anew when the next 4 m of way cost more than twice their length
+_NEAR = 10.0  # length of way whose detours are taken out: the rest is planned anew long before it is driven [m]
+_AHEAD, _QUIET = 4.0, 2.0  # RRT plans anew when the next _AHEAD [m] of way cost more than _QUIET times their length
 
 
 def _reaching(path, length):
-    """How many points of `path` (N, 2), N >= 2, its beginning of `length` [m] has; all if it is shorter."""
+    """How many points of `path` (N, 2), N >= 2, make up its first `length` [m]; all points if the path is shorter."""
     ends = np.hypot(*np.diff(path, axis=0).T).cumsum()
     return min(2 + int(np.searchsorted(ends, length)), len(path))
 
@@ -33,7 +33,8 @@ def _reaching(path, length):
 class _Planning:
     """Plans every 0.3 s, or when there is no path, and follows; stops where there is no way.
 
-    config is the planner's first, `again` that of the later ones, which begin with what is left of the last path.
+    config: the configuration of the planner's first plan; again: of the later plans, which begin with the rest of the
+    last path.
     """
 
     track, sensor = "global", "lidar2d"
@@ -82,7 +83,7 @@ class _Planning:
         self._path = np.concatenate([path[:-1], view.goal[None]])
 
     def _known(self, grid, cost):
-        """What is left of the last path (N, 2); None: nothing that is of use."""
+        """The rest of the last path (N, 2), to begin a plan with; None if nothing of it is of use."""
         if self._path is None or len(self._path) < 2:
             return None
         leg, foot = nearest_on(self._path, self._view.pose[:2])
@@ -94,7 +95,7 @@ class AStar(_Planning):
 
 
 class Rrt(_Planning):
-    """RRT (LaValle 1998), which heeds no cost: it keeps its path until people are on it."""
+    """RRT (LaValle 1998), which heeds no cost: the agent keeps its path until people are on it."""
 
     planner, again = "rrt", RrtConfig(samples=1000)
 
@@ -111,7 +112,7 @@ class RrtStar(_Planning):
     """RRT* (Karaman and Frazzoli 2011)."""
 
     planner = "rrt-star"
-    config = again = RrtStarConfig(enough=100)  # it plans anew before more would pay
+    config = again = RrtStarConfig(enough=100)  # a plan is replaced before more samples would pay
 
 
 class CarrtStar(_Planning):

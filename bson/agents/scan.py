@@ -1,4 +1,4 @@
-"""The 2D LIDAR as agents read it, wherever on the robot it is and whatever its beams."""
+"""The 2D LIDAR for agents, at any place on the robot and with any beams."""
 
 import math
 from collections.abc import Mapping
@@ -10,18 +10,19 @@ from bson.agents.contract import Setting, Unsuited
 from bson.robot import describe, site_pose
 from bson.sensors import Lidar2D
 
-FAR = 30.0  # what a miss reads as, at least: a scanner that sees 5 m has not met a wall there [m]
+FAR = 30.0  # a miss reads at least this: a scanner that sees only 5 m has not met a wall there [m]
 _LEVEL = math.radians(3.0)  # how far off level a scanner may look
 
 
 class Scan:
-    """The beams of the setting's Lidar2D (of several the one with the key "lidar", or else the first).
+    """The beams of the setting's Lidar2D (of several LIDARs the one with the key "lidar", or else the first).
 
     angles: (beams,) rising [rad], counter-clockwise from the robot's x axis. directions: (beams, 2), unit vectors.
-    place: (2,) [m], where they begin. Robot frame. reach [m]: how far they see. every: control steps from one scan to
-    the next, of which the episode's first observation has the first. period: that as a time [s].
+    place: (2,) [m], where the beams begin. Both in the robot frame. reach [m]: how far the beams see. every: control
+    steps from one scan to the next; the episode's first observation has the first scan. period: the same as a time [s].
 
-    Raises Unsuited where there is no such LIDAR, or none that is level, or scans are farther apart than `longest` [s].
+    Raises Unsuited where there is no such LIDAR, or where it is not level, or where scans are farther apart than
+    `longest` [s].
     """
 
     def __init__(self, setting: Setting, longest: float = math.inf):
@@ -44,7 +45,7 @@ class Scan:
         self.period = self.every * setting.control_period
         if self.period > longest + 1e-9:
             raise Unsuited(f"needs a scan every {longest:g} s at least; '{lidar.key}' has a rate of {lidar.rate:g} Hz.")
-        self.reach = float(np.float32(lidar.range_max))  # as a miss reads
+        self.reach = float(np.float32(lidar.range_max))  # the reading of a miss
         self._overturned = bool(frame[2, 2] < 0)
         self._centre, self._half_field = math.atan2(frame[1, 0], frame[0, 0]), lidar.field / 2
         own = -lidar.angles[::-1] if self._overturned else lidar.angles
@@ -72,11 +73,11 @@ class Scan:
         return sectors.argmin(axis=1) + np.arange(len(sectors)) * width
 
     def points(self, scan: np.ndarray, beams: np.ndarray) -> np.ndarray:
-        """Where (n, 2) [m] the beams with the indices `beams` (n,) end, robot frame."""
+        """The ends (n, 2) [m], robot frame, of the beams with the indices `beams` (n,)."""
         return scan[beams, None] * self.directions[beams] + self.place
 
     def off_centre(self, angle: Any) -> Any:
-        """`angle` [rad], robot frame, as seen from the middle of the field, in [-pi, pi)."""
+        """`angle` [rad], robot frame, measured from the middle of the field, in [-pi, pi)."""
         return (angle - self._centre + math.pi) % (2 * math.pi) - math.pi if self._centre else angle
 
     def sees(self, angle: Any) -> Any:

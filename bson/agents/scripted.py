@@ -7,8 +7,8 @@ import numpy as np
 from bson.agents.contract import Setting, Unsuited
 from bson.agents.scan import Scan
 
-_NEAR = 1.491  # from the robot's front, 1.6 m from the Jackal's LIDAR [m]
-_AHEAD = np.radians(30.0)  # to either side of what StopAndGo minds
+_NEAR = 1.491  # distance from the robot's front; 1.6 m from the Jackal's LIDAR [m]
+_AHEAD = np.radians(30.0)  # half of the sector ahead that StopAndGo watches
 _TURN = 1.5  # share of the top yaw rate for each radian off the goal
 
 
@@ -32,7 +32,8 @@ class Random:
 def goal(observation: Mapping[str, np.ndarray], speed: float = 0.8, turn: float = _TURN) -> np.ndarray:
     """The action straight to the goal, whatever stands in the way; it turns on the spot while the goal is behind.
 
-    speed: share of the top speed: 1.6 m/s of the Jackal. turn: share of the top yaw rate for each radian off the goal.
+    speed: share of the top speed (0.8 is 1.6 m/s for the Jackal). turn: share of the top yaw rate for each radian off
+    the goal.
     """
     x, y = observation["goal"]
     bearing = np.arctan2(y, x)
@@ -40,7 +41,8 @@ def goal(observation: Mapping[str, np.ndarray], speed: float = 0.8, turn: float 
 
 
 class Goal:
-    """Drives as `goal` does, no faster than lets it decide again before it is there, or looks the other way."""
+    """Drives as `goal` does, but never so fast that the robot reaches the goal, or looks the other way, before it
+    decides again."""
 
     speed = 0.8  # share of the top speed
 

@@ -2,8 +2,8 @@
 
 The base is VFH+ (Ulrich and Borenstein, "VFH+: Reliable obstacle avoidance for fast mobile robots", ICRA 1998): the
 scan becomes a polar histogram of nearest obstacles, enlarged by the robot's radius, and a cost over candidate
-directions (deviation from the goal, from the last choice, and how far the way is free) gives the direction to steer
-to. Two things are added.
+directions (deviation from the goal, from the last choice, and how far the way is free) gives the direction to steer to.
+This agent adds two things.
 
 - People. The scan is cut into objects; those that fit a disc of a person's radius are tracked from scan to scan, which
   gives their velocities, and are remembered for a while where the scanner can't see. Candidate motions (a direction to
@@ -24,7 +24,7 @@ import numpy as np
 from bson.agents.contract import Setting
 from bson.agents.scan import Scan
 
-_LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # the products of a least-squares fit
+_LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # products in a least-squares fit
 
 
 @dataclass(frozen=True)
@@ -32,49 +32,49 @@ class VfhConfig:
     """What `Vfh` assumes and weighs. Metres, seconds, radians; weights have no unit."""
 
     longest_period: float = 0.5  # between two calls: a person walks 0.7 m meanwhile
-    acceleration: float = 3.25  # that the tyres give, in top speeds a second: the shipped robots' all [1/s]
-    turn_time: float = 0.25  # in which a small change of direction is to be done; at least 1.25 periods
-    turn_lag: float = 0.1  # before the robot turns
+    acceleration: float = 3.25  # that the tyres give, in top speeds a second, for all shipped robots [1/s]
+    turn_time: float = 0.25  # in which a small change of direction is to be made; at least 1.25 periods
+    turn_lag: float = 0.1  # delay before the robot begins to turn
 
     # histogram
-    sector: float = 3.75  # of the histogram [deg]
-    clearance: float = 0.14  # that a free way has to either side of the robot
-    lookahead: float = 6.0  # farther than this nothing blocks
-    blocked_weight: float = 12.0  # of a way's blocked share, against radians off the goal
+    sector: float = 3.75  # width of a sector [deg]
+    clearance: float = 0.14  # room that a free way has to either side of the robot
+    lookahead: float = 6.0  # nothing farther than this blocks a way
+    blocked_weight: float = 12.0  # of the blocked share of a way, against radians off the goal
     keep_weight: float = 0.4  # of leaving the last direction, against radians off the goal
-    follow_beyond: float = 1.3  # off the goal: who has to turn this far follows the wall
-    follow_free: float = 2.0  # way that is free enough along a followed wall
-    leave_free: float = 4.0  # way towards the goal that is free enough to end following
-    follow_gain: float = 0.5  # that following must have brought to end
+    follow_beyond: float = 1.3  # angle off the goal [rad]: a robot that has to turn this far follows the wall
+    follow_free: float = 2.0  # length of way that is free enough along a followed wall
+    leave_free: float = 4.0  # length of way towards the goal that is free enough to end following
+    follow_gain: float = 0.5  # how much closer to the goal following must have brought the robot before it ends
 
     # people
     person_radius: float = 0.35
     person_range: float = 9.0  # within which people are looked for
-    person_beams: int = 4  # that an object must have to be a person
-    person_error: float = 0.025  # that a person's outline may be off a circle, root mean square
-    object_jump: float = 0.25  # between neighbouring beams' ranges that parts two objects
-    match_distance: float = 0.2  # between where a person is expected and seen, beside what follows
-    match_speed: float = 2.0  # of somebody whose velocity is not known, as far as the match goes [m/s]
-    least_match: float = 0.4  # what both make is at least this
-    velocity_gain: float = 0.4  # of a new velocity in the estimate, at least, in 0.1 s
-    memory: float = 2.0  # how long an unseen person is believed in where the scanner can't see
-    missing: float = 0.2  # and where it can
+    person_beams: int = 4  # least number of beams on an object that may be a person
+    person_error: float = 0.025  # greatest root-mean-square deviation of a person's outline from a circle
+    object_jump: float = 0.25  # difference of neighbouring beams' ranges that parts two objects
+    match_distance: float = 0.2  # distance between the expected and the seen place of a person, beside the part below
+    match_speed: float = 2.0  # assumed speed of a person whose velocity is not known yet, for the match [m/s]
+    least_match: float = 0.4  # least value of both parts together
+    velocity_gain: float = 0.4  # least weight of a new velocity in the estimate, in 0.1 s
+    memory: float = 2.0  # how long an unseen person is believed in where the scanner can't see the place
+    missing: float = 0.2  # the same where the scanner can see it
 
     # motions
     horizon: float = 2.6
-    step: float = 0.2  # of a motion's rollout
-    speeds: tuple = (0.0, 0.35, 0.7, 1.0)  # ahead, shares of the top speed
+    step: float = 0.2  # time step of a motion's rollout
+    speeds: tuple = (0.0, 0.35, 0.7, 1.0)  # speeds ahead, as shares of the top speed
     directions: tuple = (0.0, 7.0, 15.0, 26.0, 42.0, 65.0, 100.0)  # to either side [deg]
-    back_speeds: tuple = (-0.35, -0.75)  # likewise
+    back_speeds: tuple = (-0.35, -0.75)  # speeds back, as shares of the top speed
     back_directions: tuple = (0.0, 45.0)  # to either side [deg]
-    person_gap: float = 0.7  # to a person, below which a motion costs
-    wall_gap: float = 0.35  # to a wall, below which a motion costs
-    patience: float = 1.2  # time constant with which what comes later counts less
-    person_weight: float = 1.0  # of gaps to people, against progress (1: full speed to the target)
+    person_gap: float = 0.7  # a smaller gap to a person costs
+    wall_gap: float = 0.35  # a smaller gap to a wall costs
+    patience: float = 1.2  # time constant with which later gaps count less
+    person_weight: float = 1.0  # of gaps to people, against progress (1: at full speed to the target)
     wall_weight: float = 1.5  # of gaps to walls
     heading_weight: float = 0.05  # of ending up turned away from the target
-    change_weight: float = 0.04  # of leaving the last motion's direction
-    back_weight: float = 0.1  # of driving back, where nothing is seen
+    change_weight: float = 0.04  # of leaving the direction of the last motion
+    back_weight: float = 0.1  # of driving back, where the LIDAR sees nothing
 
 
 class Vfh:
@@ -84,7 +84,7 @@ class Vfh:
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
         self.config, self._limit, self._period = config, setting.top, setting.control_period
-        self.radius = round(setting.robot.radius, 2)  # of the disc around the footprint [m]
+        self.radius = round(setting.robot.radius, 2)  # radius of the disc around the footprint [m]
         self._clearance = self.radius + config.clearance
         self._scan = Scan(setting, config.longest_period)
         self._sector = self._scan.beams_in(math.radians(config.sector))
@@ -99,12 +99,12 @@ class Vfh:
     def reset(self, seed: int | None = None) -> None:
         """Forgets the last episode. The agent draws nothing, so the seed has no effect."""
         self._yaw, self._goal, self._rate = 0.0, None, 0.0
-        self._steps, self._old = 0, 0  # since the episode began, and since the last scan
-        self._met = np.zeros((0, 2))  # that scan's walls
-        self._position = np.zeros(2)  # of the robot, in a frame that has the goal at 0 and the first yaw
-        self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in that frame
+        self._steps, self._old = 0, 0  # control steps since the episode began, and since the last scan
+        self._met = np.zeros((0, 2))  # wall points of that scan
+        self._position = np.zeros(2)  # of the robot, goal-bound frame: origin at the goal, the robot's first axes
+        self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in the goal-bound frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
-        self._steered, self._moved = 0.0, 0.0  # last choices of direction, in that frame
+        self._steered, self._moved = 0.0, 0.0  # last choices of direction, in the goal-bound frame
         self._follow = None  # (side of the wall: +1 right, -1 left; goal distance where following began)
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -124,7 +124,8 @@ class Vfh:
         return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation
 
     def _look(self, scan):
-        """Updates the people believed in by a new `scan` (beams,) [m]; the walls (sectors, 2) [m], robot frame."""
+        """Takes a new `scan` (beams,) [m] into the people believed in; returns the walls (sectors, 2) [m], robot
+        frame."""
         centres, beams = self._find_people(scan)
         self._track(centres @ self._rotation.T + self._position, scan)
         walls = self._walls(scan, beams)
@@ -135,7 +136,8 @@ class Vfh:
     # --- where the robot is
 
     def _localise(self, goal, velocity):
-        """Updates yaw and position from how the goal's position changed; near the goal from the yaw rate."""
+        """Updates the robot's yaw and position from the change of the goal's position; near the goal the yaw from the
+        yaw rate."""
         if self._goal is not None:
             way = velocity[0] * self._period
             turn = (self._rate + velocity[1]) / 2 * self._period
@@ -177,8 +179,8 @@ class Vfh:
     def _fit_circles(self, points, angles, counts):
         """Least-squares centres (n, 2) of circles of a person's radius, and the root-mean-square errors (n,) [m].
 
-        points (m, 2): objects of `counts` (n,) points, one after the other; angles (m,): their beams'. Two
-        Gauss-Newton steps from a disc that is seen whole.
+        points (m, 2): objects of `counts` (n,) points, one after the other; angles (m,): their beams'. The fit is two
+        Gauss-Newton steps, begun at a disc that is seen whole.
         """
         radius = self.config.person_radius
         starts = np.cumsum(counts) - counts
@@ -202,7 +204,7 @@ class Vfh:
         return np.stack([x, y], axis=-1), np.sqrt(squared / counts)
 
     def _track(self, seen, scan):
-        """Matches the people `seen` (n, 2), goal-bound frame, with those believed in, and updates these."""
+        """Matches the people `seen` (n, 2), goal-bound frame, with the people believed in, and updates the latter."""
         c = self.config
         expected = self._seen_at + self._seen_velocity * self._scan.period
         old, new = _match(expected, seen, self._match)
@@ -278,7 +280,8 @@ class Vfh:
     def _free_way(self, directions, points, ranges):
         """How far (n,) [m] a disc of radius `clearance` can go in `directions` (n,) [rad] before `points` (m, 2) [m].
 
-        At most the lookahead. ranges (m,): the points' distances. Who is too close to a wall can still turn away.
+        The result is at most the lookahead. ranges (m,): the points' distances. A robot that is too close to a wall can
+        still turn away.
         """
         c = self.config
         if not len(points):
@@ -291,7 +294,7 @@ class Vfh:
         return np.minimum(free.min(axis=1), c.lookahead)
 
     def _least_cost(self, directions, free, bearing, reach):
-        """VFH+: the direction [rad] of least cost."""
+        """The direction [rad] of least cost, as in VFH+."""
         c = self.config
         off_goal = np.abs(_wrap(directions - bearing))
         off_last = np.abs(_wrap(directions + self._yaw - self._steered))
@@ -300,7 +303,7 @@ class Vfh:
 
     def _along_wall(self, directions, free, ranges):
         """The first free direction [rad], sweeping from the followed wall away from it."""
-        assert self._follow is not None  # or there is no wall to go along
+        assert self._follow is not None  # it is set while a wall is followed
         side = self._follow[0]
         order = np.argsort(side * directions)
         directions, free = directions[order], free[order]
@@ -325,7 +328,7 @@ class Vfh:
         turned = np.maximum(self._times - c.step / 2 - c.turn_lag, 0.0) * np.abs(rate)[:, None]
         heading = np.sign(self._directions)[:, None] * np.minimum(turned, np.abs(self._directions)[:, None])
         self._headings = np.moveaxis(_unit(heading), -1, 0) * c.step
-        self._speed_change = self._acceleration * (self._times - c.step / 2)  # at most, by the middle of each step
+        self._speed_change = self._acceleration * (self._times - c.step / 2)  # at most, by each step's middle
         self._discount = np.exp(-self._times / c.patience)
         self._discount /= self._discount.sum()
 
@@ -341,7 +344,7 @@ class Vfh:
         bearing = math.atan2(target[1], target[0])
         left = np.sqrt(((way[0] - target[0]) ** 2 + (way[1] - target[1]) ** 2).min(axis=1))
         progress = math.hypot(*target) - left
-        progress = np.where(self._speeds < 0, np.minimum(progress, 0.0), progress)  # driving back is for evading only
+        progress = np.where(self._speeds < 0, np.minimum(progress, 0.0), progress)  # driving back serves evading only
         cost = -progress / (self._limit[0] * c.horizon)
         cost += c.heading_weight * (1.0 - np.cos(self._directions - bearing))
         cost += c.change_weight * np.abs(_wrap(self._directions + self._yaw - self._moved))
@@ -351,12 +354,13 @@ class Vfh:
         best = int(np.argmin(cost))
         direction, rate = self._directions[best], self._rates[best]
         if self._speeds[best] > 0 and abs(direction - bearing) < math.radians(5.0):
-            direction, rate = bearing, bearing / self._turn_time  # between two candidates
+            direction, rate = bearing, bearing / self._turn_time  # the bearing lies between two candidates
         self._moved = self._yaw + direction
         return np.clip(np.array([self._speeds[best], rate]) / self._limit, -1.0, 1.0)
 
     def _nearness(self, gaps, limit):
-        """Cost (n,) of `gaps` (n, T) [m] smaller than `limit` [m]: 1 at a touch, more below. No way leads through."""
+        """Cost (n,) of `gaps` (n, T) [m] smaller than `limit` [m]: 1 at a touch, more where they overlap, so that no
+        way leads through."""
         if gaps is None:
             return 0.0
         least = np.minimum.accumulate(gaps, axis=1)

@@ -1,1 +1,1 @@
-"""Episodes on worlds: played by a session, kept by a recorder."""
+"""Episodes on worlds: a session plays them, a recorder keeps them."""

@@ -1,4 +1,5 @@
-"""What a robot did to others, told by a pair: its episode, and the same people for as long without it."""
+"""The effects of a robot on people, measured on a pair: the robot's episode, and the same people for as long without
+the robot."""
 
 from typing import Any
 
@@ -7,12 +8,12 @@ import numpy as np
 from macid import geometry
 from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
 
-SOCIAL_SPACE = 3.6  # within which somebody is met, surface to surface [m]
+SOCIAL_SPACE = 3.6  # people within this distance count as met, surface to surface [m]
 
 
 def _first_ways(people, goals):
-    """When people (T + 1, K, 3) reach their `goals` (K, 2), as a control step, the last one where they never do: (K,);
-    and the metres walked until then that brought them no closer: (K,)."""
+    """The control step (K,) at which people (T + 1, K, 3) reach their `goals` (K, 2), the last step where they never
+    do; and the metres (K,) walked until then that brought them no closer."""
     distance = geometry.norm(people[..., :2] - goals)
     there = distance <= GOAL_RADIUS
     step = np.where(there.any(axis=0), there.argmax(axis=0), len(people) - 1)
@@ -22,7 +23,8 @@ def _first_ways(people, goals):
 
 
 def _contacts(people, who):
-    """Control steps after which each of the people `who` (K,) bool touches another of `people` (T + 1, K, 3): (K,)."""
+    """The number (K,) of control steps after which each of the people `who` (K,) bool touches another of `people` (T +
+    1, K, 3)."""
     places, steps = people[1:, :, :2], np.zeros(people.shape[1], int)
     for person in np.flatnonzero(who):
         apart = geometry.norm(places - places[:, person, None])
@@ -32,20 +34,21 @@ def _contacts(people, who):
 
 
 def _met(episode):
-    """Whom the robot came near, within SOCIAL_SPACE as discs, before they reached their first goal: (K,) bool."""
+    """Whether the robot came near each person (K,), within SOCIAL_SPACE as discs, before the person's first goal was
+    reached."""
     apart = geometry.norm(episode.people[..., :2] - episode.pose[:, None, :2])
     near = apart < SOCIAL_SPACE + episode.robot_radius + RADIUS
     return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
 
 
 def find_effects(episode: Any) -> dict[str, np.ndarray]:
-    """What the robot did to each person whom it met on the way to that person's first goal: {name: (K,)}, NaN for all
-    other people; {} where the Episode has no pair (people_alone).
+    """The robot's effects on each person whom it met on the way to that person's first goal: {name: (K,)}, NaN for all
+    other people. {} where the Episode has no pair (people_alone).
 
     delay [s]: how much later the person reaches the goal than without the robot. A person who gets there in one of the
     two runs only counts as arriving at the end of the other; a person who gets there in neither has NaN. detour [m]:
-    how much farther the person walks to the goal, beyond what brings it closer. added_contact [s]: how much longer the
-    person touches other people, over the whole episode.
+    how much farther the person walks to the goal, beyond the metres that bring the person closer. added_contact [s]:
+    how much longer the person touches other people, over the whole episode.
     """
     if episode.people_alone is None:
         return {}

@@ -1,6 +1,7 @@
-"""Films of episodes, drawn offscreen: a chase view, the map, and what the robot's camera sees, side by side.
+"""Films of episodes, drawn offscreen: a chase view, the map, and the picture of the robot's camera, side by side.
 
-Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl_problem()` says what is missing.
+Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl_problem()` says whether something
+for it is missing.
 """
 
 import itertools
@@ -18,9 +19,9 @@ from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_c
 from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
 
 _PATH_RGB = (0.95, 0.45, 0.0)
-_TRAIL = 4.0  # of people [s]
-_CHASE_DISTANCE = 5.0  # of the chase camera from the robot [m]
-_CHASE_ELEVATION = (math.radians(27), math.radians(74))  # the least, and the most where walls are near
+_TRAIL = 4.0  # length of people's trails [s]
+_CHASE_DISTANCE = 5.0  # distance of the chase camera from the robot [m]
+_CHASE_ELEVATION = (math.radians(27), math.radians(74))  # the least, and the greatest, used where walls are near
 
 # The page, at scale 1: x, y, width, height [pixels].
 _SIZE = (1520, 496)
@@ -29,10 +30,10 @@ _READINGS = (1110, 280, 400, 206)
 
 
 class Film(drawing.Stage):
-    """Draws recorded episodes of one model. Close it, or use it in a `with`; raises Unavailable without OpenGL.
+    """Draws recorded episodes of one model. Close the Film, or use it in a `with`. Raises Unavailable without OpenGL.
 
-    model: "as it looks" (World.scene); it is copied. scale: of the picture, 1 is 1520 x 496. title: of whom is filmed.
-    samples: of anti-aliasing, 0 or 4; on a CPU, 4 takes twice the time.
+    model: "as it looks" (World.scene); it is copied. scale: the picture's; 1 is 1520 x 496 pixels. title: the name of
+    the filmed agent. samples: of anti-aliasing, 0 or 4; on a CPU, 4 takes twice the time.
     """
 
     def __init__(self, model: mujoco.MjModel, scale: float = 1.0, title: str = "", samples: int = 0):
@@ -43,7 +44,7 @@ class Film(drawing.Stage):
     def frame(self, episode: Episode, step: int = -1, speed: float | None = None) -> np.ndarray:
         """The composed picture of `episode` at control step `step`.
 
-        speed: of the playback, for the header.
+        speed: the playback's speed, for the header.
         """
         step = range(len(episode.pose))[step]
         self._pose(episode, step)
@@ -73,11 +74,11 @@ class Film(drawing.Stage):
         return page
 
     def map_pixel(self, episode: Episode, place: Any) -> np.ndarray:
-        """Where the map shows `place` (..., 2) [m]: (..., 2) pixels x, y of the picture, continuous."""
+        """The pixels (..., 2), x and y of the picture, not rounded, at which the map shows `place` (..., 2) [m]."""
         return self.on_map(_MAP, *map_window(episode), place)
 
     def _pose(self, episode, step):
-        """Puts the model's bodies where the episode has them."""
+        """Puts the model's bodies where they are in the episode at `step`."""
         self.data.qpos[:] = episode.qpos[step]
         if self.boxes:
             self.data.mocap_pos[:, :2] = episode.boxes[:, :2]
@@ -107,7 +108,7 @@ class Film(drawing.Stage):
         dx, dy = end - start
         length = math.hypot(dx, dy)
         if length > 1e-6:
-            size = [length / 2, half_width, 0.001]  # without overlaps: OpenGL would light them twice
+            size = [length / 2, half_width, 0.001]  # no overlaps: OpenGL would light them twice
             place = [*((start + end) / 2), height]
             self.add(mujoco.mjtGeom.mjGEOM_PLANE, size, place, rgba, math.atan2(dy, dx), shadow=False)
 
@@ -123,7 +124,7 @@ class Film(drawing.Stage):
         )
 
     def _aim_chase(self, episode, step):
-        """Behind and above the robot, higher where a wall would hide it; returns where that is, (3,) [m]."""
+        """Puts the camera behind and above the robot, higher where a wall would hide it; returns its place (3,) [m]."""
         heading, elevation = _chase(episode, step)
         ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
         robot = np.array([*episode.pose[step, :2], 0.25])
@@ -135,7 +136,7 @@ class Film(drawing.Stage):
         return eye
 
     def _mark_map(self, page, episode, step):
-        """Start, goal, robot, a scale and the north, on the map."""
+        """Draws start, goal, robot, a scale and the north on the map."""
         left, top, width, height = self.rect(_MAP)
         canvas = np.ascontiguousarray(page[top : top + height, left : left + width])
 
@@ -167,7 +168,7 @@ class Film(drawing.Stage):
         page[top : top + height, left : left + width] = canvas
 
     def _panel(self, page, episode, step):
-        """The readings and the legend."""
+        """Draws the readings and the legend."""
         unit = self.scale
         left, top, width, height = self.rect(_READINGS)
         page[top : top + height, left : left + width] = PANEL
@@ -191,7 +192,7 @@ class Film(drawing.Stage):
 
 
 def _smoothing(episode, step, seconds):
-    """Steps around `step`, those of the episode's, and their Gaussian weights of standard deviation `seconds`."""
+    """The episode's steps around `step`, and their Gaussian weights of standard deviation `seconds`."""
     reach = round(2 * seconds / episode.period)
     steps = np.arange(max(0, step - reach), min(len(episode.pose), step + reach + 1))
     weights = np.exp(-0.5 * ((steps - step) * episode.period / seconds) ** 2)
@@ -219,7 +220,8 @@ def _chase(episode, step):
 
 
 def _hides(episode, step, eye):
-    """Whether each person (K,) stands between the chase camera at `eye` (3,) [m] and the robot, or in its face."""
+    """Whether each person (K,) stands between the chase camera at `eye` (3,) [m] and the robot, or close before the
+    camera."""
     robot, people = episode.pose[step, :2], episode.people[step, :, :2]
     way = eye[:2] - robot
     length = max(math.hypot(*way), 1e-6)
@@ -254,8 +256,8 @@ def film(
     """Writes `episode` as the VP8 video `path` (.webm), which browsers play; returns the path.
 
     A longer episode than `max_frames` steps is thinned out evenly and plays faster; the header says how fast.
-    progress(done, total) is called after each frame.
-    Raises Unavailable without OpenGL, OSError where `path` can't be written. All or nothing: no half file is left.
+    progress(done, total) is called after each frame. Raises Unavailable without OpenGL, OSError where `path` can't be
+    written. A failure leaves no half-written file.
     """
     if max_frames < 2:
         raise ValueError(f"max_frames must be at least 2, not {max_frames}.")

@@ -1,4 +1,5 @@
-"""Episodes as they are kept, and what keeps them. What is kept of a world is in bson.simulation.data.QUANTITIES."""
+"""Episodes as they are kept, and the recorder that keeps them. bson.simulation.data.QUANTITIES says what is kept of a
+world."""
 
 import dataclasses
 import functools
@@ -9,16 +10,16 @@ import numpy as np
 from bson.episodes.effects import find_effects
 from bson.simulation.data import QUANTITIES
 
-if TYPE_CHECKING:  # they load MuJoCo, which comparing results does without
+if TYPE_CHECKING:  # these modules load MuJoCo, which comparing results does without
     from bson.episodes.session import Session
     from macid.layout import Layout
 
-_EACH = {quantity.each: quantity for quantity in QUANTITIES if quantity.each}  # by their names in an Episode
+_EACH = {quantity.each: quantity for quantity in QUANTITIES if quantity.each}  # {name in an Episode: Quantity}
 _LAST = {quantity.last: quantity for quantity in QUANTITIES if quantity.last}
 
 
 def _fields():
-    """Of an Episode, those that come from a world: (name, type), with "" for a text that is not given."""
+    """The fields of an Episode that come from a world: (name, type), and the default "" for a text."""
     for name, quantity in _LAST.items():
         kind = np.ndarray if quantity.shape else quantity.kind
         yield (name, kind, "") if kind is str else (name, kind)
@@ -33,7 +34,7 @@ _Kept = dataclasses.make_dataclass("_Kept", _fields(), namespace={"__module__": 
 class Episode(_Kept):
     """One episode of one robot. World frame; metres, seconds, radians. T control steps, K people, B boxes.
 
-    Beside what is kept of its world:
+    Beside the quantities of its world:
 
     - shortest: way from the start to the goal around the walls; straight where the router finds none
     - timed_out: the horizon came first
@@ -72,7 +73,8 @@ Episode.__doc__ = (
 
 
 class Recorder:
-    """Writes down the episode of one world of a session, from its reset on: `snap()` after the reset and each step."""
+    """Records the episode of one world of a session, from its reset on. Call `snap()` after the reset and after each
+    step."""
 
     def __init__(self, session: "Session", index: int):
         self._world, self._index = session.world, index
@@ -81,7 +83,7 @@ class Recorder:
         self.snap()
 
     def snap(self) -> None:
-        """Appends the world's present."""
+        """Appends the world's present state."""
         for name, rows in self._rows.items():
             rows.append(np.array(getattr(self._world, _EACH[name].name)[self._index]))
 
@@ -107,8 +109,8 @@ class Recorder:
 
 def shortest_way(layout: "Layout", start: np.ndarray, goal: np.ndarray, radius: float) -> float:
     """Length [m] of the router's shortest way on `layout` from `start` to `goal` (2,) for a robot of `radius` [m], or
-    of the straight one where it finds none."""
-    from macid.routing import Router  # metrics, which know Episodes, do without
+    of the straight way where it finds none."""
+    from macid.routing import Router  # here, as metrics, which import this module, do without the router
 
     try:
         way = Router(layout, radius).path(start, goal)

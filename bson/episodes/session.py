@@ -1,4 +1,5 @@
-"""Episodes on worlds: actions in, observations, rewards and ends out. All interfaces and evaluations stand on this."""
+"""Episodes on worlds: actions in; observations, rewards and ends out. All interfaces and evaluations build on the
+Session."""
 
 import contextlib
 import ctypes
@@ -18,14 +19,14 @@ from bson.task import TaskConfig
 from macid.reward import individual_reward
 
 Ids: TypeAlias = Sequence[int] | np.ndarray  #: numbers of worlds, in ascending order
-KEPT = 4  # worlds of a Session, of different structures
-_GIVE_BACK_EVERY = 8  # worlds that others replace: whatever was given back costs time when it is asked for again
+KEPT = 4  # how many worlds of different structures a Session keeps
+_GIVE_BACK_EVERY = 8  # replaced worlds between two returns of memory: memory that was returned costs time to get again
 
 
 def _give_back():
     """Gives pages of freed memory back to the system, where the C library can (glibc).
 
-    Physics of ever other sizes, tens of megabytes each, would else be strewn over ever more of the heap."""
+    Otherwise the physics of many sizes, tens of megabytes each, would be scattered over more and more of the heap."""
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (OSError, TypeError, AttributeError):  # another C library
@@ -49,11 +50,11 @@ class Session:
         nthread: int = 0,
         engine: MakeEngine = NativeEngine,
     ):
-        """seeds: one a world (default: fresh ones); they begin the streams from which later episodes' seeds come.
-        engine: what moves the worlds (bson.simulation.engines)."""
+        """seeds: one for each world (default: fresh ones); they begin the streams from which later episodes' seeds
+        come. engine: makes the engine that moves the worlds (bson.simulation.engines)."""
         check_worlds("nworld", nworld)
         self.track, self.nworld, self._nthread, self._engine = track, nworld, nthread, engine
-        self._worlds: Any = {}  # by structure; None once closed
+        self._worlds: Any = {}  # {structure: World}; None once closed
         self._replaced = 0
         self.configure(config)
         self._streams: list[Any] = [None] * nworld
@@ -67,7 +68,7 @@ class Session:
         return self._world
 
     def configure(self, config: TaskConfig) -> None:
-        """Changes the setting of all worlds; they need a reset then. The last models are kept: the most recent of
+        """Changes the setting of all worlds; after it they need a reset. The last models are kept: the most recent of
         another structure (bson.simulation.scene.structure) takes the place of the oldest."""
         if self._worlds is None:
             raise _closed()
@@ -87,7 +88,8 @@ class Session:
 
     @contextlib.contextmanager
     def setting(self, config: TaskConfig) -> Iterator[None]:
-        """`configure`, taken back, with the seeds' streams, where what happens within raises: episodes then go on."""
+        """`configure` for a `with`. If an error is raised within, the setting and the seeds' streams are put back, and
+        episodes go on."""
         before, streams = self.config, list(self._streams)
         self.configure(config)
         try:
@@ -108,7 +110,8 @@ class Session:
 
     @contextlib.contextmanager
     def whole(self) -> Iterator[None]:
-        """What happens within happens whole, or not at all: see World.whole; the seeds' streams go back as well."""
+        """Within the `with` everything happens, or nothing: if an error is raised, the worlds (see World.whole) and the
+        seeds' streams are put back."""
         states = [stream.bit_generator.state for stream in self._streams]
         try:
             with self.world.whole():
@@ -119,7 +122,7 @@ class Session:
             raise
 
     def reseed(self, ids: Ids, seeds: Sequence[Any]) -> None:
-        """Begins the seed streams of the worlds `ids` anew."""
+        """Begins the seed streams of the worlds `ids` anew, from `seeds`."""
         for index, seed in zip(ids, seeds, strict=True):
             self._streams[index] = np.random.default_rng(None if seed is None else (0x50C1A1, seed))
 
@@ -156,6 +159,6 @@ class Session:
         return self.observe(ids), reward, arrived, failed | (world.steps[ids] >= config.horizon) & ~arrived
 
     def info(self, ids: Ids) -> dict[str, np.ndarray]:
-        """What the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies; see
+        """The quantities that the metrics need, of the worlds `ids`: a dict of arrays (len(ids), ...), copies; see
         bson.simulation.data."""
         return {name: np.array(getattr(self.world, name)[ids]) for name in INFO}

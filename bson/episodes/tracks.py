@@ -1,4 +1,4 @@
-"""What the robot is given: a track is an object with its spaces and its observation."""
+"""Tracks: a track defines the robot's observation and its space."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -19,7 +19,8 @@ from macid.registry import Kind
 
 
 def velocity_limit(robot: RobotConfig) -> np.ndarray:
-    """Bounds (2,) of an observed (v [m/s], w [rad/s]): a push can move the robot faster than its motors do."""
+    """Bounds (2,) of an observed (v [m/s], w [rad/s]): above the motors' limits, as a push can move the robot
+    faster."""
     return np.array([4 * robot.max_speed, 10 * robot.max_yaw_rate], np.float32)
 
 
@@ -54,8 +55,8 @@ class LocalTrack:
 
 @dataclasses.dataclass(frozen=True)
 class GlobalTrack(LocalTrack):
-    """The Global track (paper, sec. VI-A): what the Local track gives, the map, the robot's pose, and where people
-    are."""
+    """The Global track (paper, sec. VI-A): the Local track's observation, the map, the robot's pose, and people's
+    positions."""
 
     def space(self, config: TaskConfig) -> gymnasium.spaces.Dict:
         """The observation space of one world."""
@@ -103,7 +104,7 @@ KEYS = {*RESERVED, *(sensor.key for sensors in SENSORS.values() for sensor in se
 
 
 def _own_track(found, name):
-    """Somebody's own track: a class made of sensors, as LocalTrack is."""
+    """The user's own track: a class that is made with sensors, as LocalTrack is."""
     if not (isinstance(found, type) and issubclass(found, LocalTrack)):
         wanted = "a class derived from bson.episodes.tracks.LocalTrack"
         raise UsageError(f"Track '{name}' must be {wanted}, not {shown(found)}.")
@@ -111,7 +112,7 @@ def _own_track(found, name):
 
 
 def _own_sensors(found, name):
-    """Somebody's own sensors: one, a class of one, or a tuple of these."""
+    """The user's own sensors: one sensor, a sensor's class, or a tuple of these."""
     chosen = [
         each() if isinstance(each, type) else each for each in (found if isinstance(found, tuple | list) else [found])
     ]
@@ -131,29 +132,29 @@ def _own_kind(found, name):
 TRACK_KIND: Kind[type[LocalTrack]] = Kind("track", TRACKS, own="class", check=_own_track)
 SENSOR_KIND: Kind[tuple[Sensor, ...]] = Kind("sensor", SENSORS, own="attribute", check=_own_sensors)
 _SHIPPED = {name: kind for name, kind in vars(shipped).items() if isinstance(kind, type) and issubclass(kind, Sensor)}
-_CLASS_KIND: Kind[type[Sensor]] = Kind("sensor", _SHIPPED, own="class", check=_own_kind)  # of a document
+_CLASS_KIND: Kind[type[Sensor]] = Kind("sensor", _SHIPPED, own="class", check=_own_kind)  # for a "kind" in a document
 
 
 def make_track(track: str, sensor: Any) -> LocalTrack:
-    """The track `track` ("local", "global", or one's own class) with `sensor`: a name of SENSORS, sensors of one's own,
-    e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`, where they are (`file.py:SENSORS`), or what `sensor_documents` makes
-    of them. Raises UsageError, naming the valid ones."""
+    """The track `track` ("local", "global", or the user's own class) with `sensor`: a name of SENSORS; the user's own
+    sensors, e.g. `(Imu(), Lidar2D(beams=360, rate=10.0))`; the name of such sensors (`file.py:SENSORS`); or their form
+    by `sensor_documents`. Raises UsageError, naming the valid choices."""
     return TRACK_KIND.load(track)(_sensors(sensor))
 
 
 def sensor_label(sensor: Any) -> str:
-    """What `make_track` was given as `sensor`, for people to read: its name, or the kinds of one's own."""
+    """The argument `sensor` of `make_track`, for people to read: its name, or the kinds of the user's own sensors."""
     return sensor if isinstance(sensor, str) else " + ".join(type(one).__name__ for one in _sensors(sensor))
 
 
 def sensor_settings(sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
-    """Sensors' configurations as JSON has them: [{"kind": ..., field: value, ...}, ...]."""
+    """Sensors' configurations, ready for JSON: [{"kind": ..., field: value, ...}, ...]."""
     return [{"kind": type(one).__name__, **dataclasses.asdict(one)} for one in sensors]
 
 
 def sensor_documents(chosen: Any) -> Any:
-    """What `make_track` was given as `sensor`, as JSON has it: its name, or [{"kind": ..., field: value, ...}, ...],
-    where a kind that is not of bson.sensors is "module:class"."""
+    """The argument `sensor` of `make_track`, ready for JSON: its name, or [{"kind": ..., field: value, ...}, ...],
+    where the kind of a sensor outside bson.sensors is "module:class"."""
     return chosen if isinstance(chosen, str) else [_document(one) for one in _sensors(chosen)]
 
 
@@ -173,7 +174,7 @@ def _document(sensor):
 
 
 def _of_document(document):
-    """The sensor of a dict of `sensor_documents`. Raises ValueError, naming what is wrong."""
+    """The sensor that a dict of `sensor_documents` describes. Raises ValueError, naming the faulty field."""
     fields: dict[str, Any] = dict(document)
     kind = _CLASS_KIND.load(fields.pop("kind", None))
     known = [field.name for field in dataclasses.fields(kind)]

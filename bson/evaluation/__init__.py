@@ -1,1 +1,1 @@
-"""Evaluations: agents on many episodes, wherever these are played."""
+"""Evaluations: agents play many episodes, in this process or elsewhere, and are scored."""

@@ -1,4 +1,4 @@
-"""Episodes as jobs of an executor (macid.executors), and what of a user's files they need elsewhere."""
+"""Episodes as jobs of an executor (macid.executors), and the user's files that these jobs need elsewhere."""
 
 import dataclasses
 import functools
@@ -24,7 +24,7 @@ from macid.registry import own_module
 _TELL = 0.2  # between messages on control steps [s]
 _MODEL = frozenset(
     [".xml", ".urdf", ".toml", ".stl", ".obj", ".msh", ".mtl", ".dae", ".skn", ".png", ".jpg", ".bin", ".hf"]
-)  # a robot's files
+)  # endings of a robot's files
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,23 +33,23 @@ class Play:
 
     agent: Any
     config: TaskConfig
-    track: tuple[Any, Any]  # what make_track takes; None for the sensors that the agent brings
+    track: tuple[Any, Any]  # as for make_track; None for the sensors that the agent brings
     seeds: tuple[int, ...]
     called: str = "agent"
-    untrained: bool = False  # whether it may drive in another setting than it was trained in
-    engine: str = "native"  # of the worlds
+    untrained: bool = False  # whether the agent may drive in a setting other than that of its training
+    engine: str = "native"  # the engine of the worlds
 
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Episodes of one cell of which the same people are to be seen without the robot."""
+    """Episodes of one cell, whose people are to be played again without the robot."""
 
     config: TaskConfig
     episodes: tuple[Episode, ...]
 
 
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
-    """The work of a Play: sends (control steps, Episode or None) as `run_episodes` tells its progress. make_agent: the
+    """The work of a Play: sends (control steps, Episode or None), the progress of `run_episodes`. make_agent: the
     agent's factory, where it is loaded already."""
     if job.engine == "warp":
         from bson.evaluation.on_device import LearnedOnDevice
@@ -65,12 +65,12 @@ def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None
 
 
 def pair_up(job: Pair, send: Callable[[Any], None]) -> None:
-    """The work of a Pair: sends (control steps, Episode or None) as `pair` tells its progress."""
+    """The work of a Pair: sends (control steps, Episode or None), the progress of `pair`."""
     pair(job.config, job.episodes, _told_by(send))
 
 
 def _told_by(send):
-    """The `progress` of run_episodes that sends at once what ended, and steps alone now and then."""
+    """A `progress` for run_episodes: sends each Episode as it ends, and the count of steps now and then."""
     steps, last = 0, time.monotonic()
 
     def progress(more, episode):
@@ -84,7 +84,7 @@ def _told_by(send):
 
 
 def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any, paired: bool) -> None:
-    """Raises UsageError where `engine` is none, or plays nothing of what was asked."""
+    """Raises UsageError where `engine` is no engine, or can't play what is asked."""
     if engine != "warp":
         raise UsageError(f"Unknown engine {engine!r}. Choose 'native' or 'warp'.")
     if not (isinstance(agent, str) and (agent in learned.names() or agent.endswith(".npz"))):
@@ -97,8 +97,8 @@ def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any,
 
 
 def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:
-    """`seeds` of one cell in parts, each a job: all at once in this process; elsewhere about two jobs a worker over the
-    `total` that is to be played, of at most a batch. Results don't depend on it."""
+    """`seeds` of one cell in parts, one for each job: in this process one part; elsewhere parts of at most a batch, so
+    that the `total` of episodes makes about two jobs a worker. Results don't depend on the parts."""
     if executor.workers is None:
         return [seeds] if seeds else []
     most = max(1, min(BATCH, math.ceil(total / (2 * executor.workers))))
@@ -106,9 +106,9 @@ def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequenc
 
 
 def carried_agent(agent: Any) -> Carried:
-    """What of the agent's files travels: its file or its module's, the modules beside it that it imported, and the
-    files that its attribute `files` names, from its folder; of a policy its .npz and .json. Nothing of what is
-    installed."""
+    """The agent's files that travel: its own or its module's file, the modules beside it that it imported, and the
+    files that its attribute `files` names, relative to its folder; for a policy its .npz and .json. Installed files
+    don't travel."""
     if not isinstance(agent, str):
         return carry_module(getattr(agent, "__module__", None) or "", getattr(agent, "files", ()))
     if agent in BUILT_IN or agent in learned.names():
@@ -119,15 +119,15 @@ def carried_agent(agent: Any) -> Carried:
 
 
 def carried_code(name: str, attribute: str = "") -> Carried:
-    """What travels of somebody's own code `name`, as carried_agent has it; nothing of another name. attribute: of a
-    file that is given without one."""
+    """The files of the user's own code `name` that travel, as in carried_agent; none for another name. attribute: the
+    attribute for a file that is given without one."""
     module, path = own_module(name), pathlib.Path(name.rpartition(":")[0] if ":" in name else name)
     found = getattr(sys.modules.get(module), name.rpartition(":")[2] if ":" in name else attribute, None)
     return carry_module(module, getattr(found, "files", ()), path.parent if path.suffix == ".py" else None)
 
 
 def carried_task(config: TaskConfig) -> Carried:
-    """What of the files that a task names travels: the map's, the robot's folder, pedestrians' policies."""
+    """The files that a task names, all of which travel: the map's, the robot's folder, pedestrians' policies."""
     files = [] if config.map is None else map_files(config.map)
     if config.robot.name.endswith(".toml"):
         robot = load_robot(config.robot.name)
@@ -139,7 +139,7 @@ def carried_task(config: TaskConfig) -> Carried:
 
 
 def carried_track(track: tuple[Any, Any]) -> Carried:
-    """What travels of what make_track takes, where these are names of somebody's own."""
+    """The files that travel for a track and a sensor, as make_track takes them, where they name the user's own code."""
     return sum((carried_code(each) for each in track if isinstance(each, str)), Carried())
 
 
@@ -154,7 +154,7 @@ def play_each(
 ) -> None:
     """Plays episodes of different agents and settings, all side by side.
 
-    whole: called with each of `plays` as it has all its Episodes, in the order of its seeds.
+    whole: called with each of `plays` once all its Episodes are there, and with these, in the order of its seeds.
     """
     carried = Carried()
     for each in plays:
@@ -191,15 +191,16 @@ def play_cells(
 ) -> list[list[Episode]]:
     """The Episodes `seeds` of each of `cells`.
 
-    make_agent: the factory of `agent`. found: of each cell {seed: Episode} of those that are there; it is filled. keep:
-    called with each that ends. watch: gives a context of a function progress(control steps, whether an episode ended),
-    of the cell's name (None: of all cells) and whether it is without the robot, how many episodes there are, and how
-    many are done. paired: also plays without the robot. engine: of the worlds, see bson.benchmark.evaluate.
+    make_agent: the factory of `agent`. found: for each cell {seed: Episode} of the episodes that are there; the others
+    are added. keep: called with each Episode that ends. watch: called with the cell's name (None: all cells), whether
+    the robot is left out, the number of episodes and the number already done; gives a context manager of a function
+    progress(control steps, whether an episode ended). paired: also plays without the robot. engine: the engine of the
+    worlds, see bson.benchmark.evaluate.
     """
-    whole = executor.workers is not None  # all cells at once, elsewhere
+    whole = executor.workers is not None  # workers elsewhere play all cells at once
 
     brought = not isinstance(track[1], str) and track[1] is getattr(make_agent, "sensor", None)
-    seen = (track[0], None) if brought else track  # of classes that may be the agent's own
+    seen = (track[0], None) if brought else track  # a worker takes the agent's sensors from the agent
 
     def play_of(cell):
         return Play(agent, cell.config, seen, tuple(seeds), called, untrained, engine)
@@ -252,7 +253,7 @@ def play_cells(
 
 
 def _left_to_play(whole, share, found):
-    """The job (macid.executors.Job) of the episodes `share` of the Play `whole`, without those `found`, {seed:
+    """The job (macid.executors.Job) of the episodes `share` of the Play `whole`, without the episodes `found`, {seed:
     Episode}."""
 
     def left():

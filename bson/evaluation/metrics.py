@@ -1,9 +1,10 @@
-"""The score: SNS and its parts (paper, sec. VI-C, eq. 6), and what users expect beside it (Francis et al. 2023).
+"""The score: SNS and its parts (paper, sec. VI-C, eq. 6), and the other metrics that users expect (Francis et al.
+2023).
 
-What the robot does to others is told by a pair: the episode, and the same people for as long without the robot.
+The robot's effects on others are measured on a pair: the episode, and the same people for as long without the robot.
 
-Pure functions of an Episode. METRICS, at the end, is the one table of them: name, group, unit, which way is better,
-and what it is, with its threshold.
+Pure functions of an Episode. METRICS, at the end, is the one table of them: name, group, unit, which way is better, and
+its meaning, with its threshold.
 """
 
 import dataclasses
@@ -23,11 +24,11 @@ GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
 INTIMATE_SPACE, PERSONAL_SPACE = 0.45, 1.2  # [m], surface to surface
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
-GROUPS = ("score", "safety", "comfort", "efficiency", "others", "own")  # the last: of a user's own
+GROUPS = ("score", "safety", "comfort", "efficiency", "others", "own")  # the last group holds the user's own metrics
 
 
 class Driven(NamedTuple):
-    """What the parts of the score follow from."""
+    """The quantities from which the parts of the score follow."""
 
     start_distance: float  #: to the goal [m]
     final_distance: float  #: [m]
@@ -59,7 +60,8 @@ def speed_score(episode: Episode | Driven) -> float:
 def sns(episode: Episode | Driven) -> float:
     """Eq. 6 for one episode: RC gamma^c (50 PE + 50 SP).
 
-    Where RC is below 0, collisions don't discount it: nothing that the robot does wrong brings the score nearer to 0.
+    Where RC is below 0, collisions don't discount the score: nothing that the robot does wrong brings the score nearer
+    to 0.
     """
     completed = route_completion(episode)
     quality = 50.0 * path_efficiency(episode) + 50.0 * speed_score(episode)
@@ -67,7 +69,8 @@ def sns(episode: Episode | Driven) -> float:
 
 
 def time_to_collision(episode: Episode) -> np.ndarray:
-    """For each control step the least t >= 0 [s] with |dp + dv t| = r1 + r2 for a person, both keeping their velocity.
+    """For each control step the least t >= 0 [s] with |dp + dv t| = r1 + r2 for any person, if robot and person keep
+    their velocities.
 
     The robot is the disc around its footprint. (T + 1,): 0 where the discs overlap, infinity where none ever will.
     """
@@ -83,7 +86,8 @@ def time_to_collision(episode: Episode) -> np.ndarray:
 
 
 def spl(episode: Episode) -> float:
-    """SPL: 0 for who did not arrive, else the shortest way over the way driven, at most 1 (Anderson et al. 2018)."""
+    """SPL: 0 for a robot that did not arrive, else the shortest way over the way driven, at most 1 (Anderson et al.
+    2018)."""
     return float(episode.arrived) * episode.shortest / max(episode.travelled, episode.shortest)
 
 
@@ -93,12 +97,12 @@ def _over(statistic, values):
 
 
 def _speed(episode):
-    """(T,) [m/s], without sign, after each control step."""
+    """The speed (T,) [m/s], without sign, after each control step."""
     return np.abs(episode.velocity[1:, 0])
 
 
 def _derivative(episode, order):
-    """(T + 1 - order,) change of the speed ahead, `order` 1: acceleration [m/s2], 2: jerk [m/s3]."""
+    """The derivative (T + 1 - order,) of the speed ahead; order 1: acceleration [m/s2], 2: jerk [m/s3]."""
     return np.diff(episode.velocity[:, 0], order) / episode.period**order
 
 
@@ -107,7 +111,7 @@ def _within(episode, distance):
 
 
 def _effect(name):
-    """The mean of the effect `name` over whom it was on; infinity where there is nobody, or no pair."""
+    """The mean of the effect `name` over the people who have a value; infinity where nobody has, or without a pair."""
 
     def mean(episode):
         values = episode.effects.get(name, np.empty(0))
@@ -122,11 +126,11 @@ class Metric:
     """A row of METRICS."""
 
     name: str
-    group: str  # of GROUPS
+    group: str  # one of GROUPS
     unit: str  # "" for a plain number
-    better: str  # "up", "down" or, where it is neither, ""
-    of: Callable | None  # float of an Episode, infinity where there is no such thing; None of one that was read back
-    what: str  # with its threshold
+    better: str  # "up" or "down"; "" where neither is better
+    of: Callable | None  # float of an Episode, infinity where it has no value; None for a metric read from a file
+    what: str  # its meaning, with its threshold
     minor: bool = False  # of interest only at a second look
 
 
@@ -207,8 +211,8 @@ METRICS = (
 
 
 def _own(found, name):
-    """Somebody's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring
-    says what it is, and its attributes `unit` and `better` ("up", "down" or "") what these are."""
+    """The user's own metric: a Metric, or a function of an Episode. A function's name is the metric's, its docstring is
+    the metric's meaning, and its attributes `unit` and `better` ("up", "down" or "") are the metric's."""
     if not isinstance(found, Metric):
         if not callable(found):
             raise UsageError(
@@ -243,8 +247,8 @@ METRIC_KIND: Kind[Metric] = Kind("metric", {metric.name: metric for metric in ME
 
 
 def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
-    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming what is
-    wrong."""
+    """The user's own metrics `names`, each `module:function` or `file.py:function`. Raises UsageError, naming the
+    fault."""
     found = [METRIC_KIND.own_object(name) for name in names]
     called = [metric.name for metric in found]
     if twice := {name for name in called if called.count(name) > 1}:
@@ -253,7 +257,7 @@ def own_metrics(names: Sequence[str]) -> tuple[Metric, ...]:
 
 
 def metrics_of(content: dict) -> tuple[Metric, ...]:
-    """The metrics that the `content` of a results.json has, the user's own last."""
+    """The metrics in the `content` of a results.json, the user's own last."""
     own = [
         Metric(name, "own", told["unit"], "" if told["better"] == "neither" else told["better"], None, told["what"])
         for name, told in content.get("metrics", {}).items()
@@ -268,21 +272,21 @@ def measure(episode: Episode, metrics: Sequence[Metric] = METRICS) -> dict[str, 
 
 
 def spread_by_score(episodes: Sequence[Episode], most: int) -> list[Episode]:
-    """At most `most` of `episodes`, evenly from the worst SNS to the best: the first and the last are these two."""
+    """At most `most` of `episodes`, evenly from the worst SNS to the best, these two included."""
     ranked = sorted(episodes, key=sns)
     places = np.linspace(0, len(ranked) - 1, min(most, len(ranked))).round().astype(int)
     return [ranked[int(place)] for place in np.unique(places)]
 
 
-_DRAWN = 1 << 22  # values that are drawn at once, 32 MB
+_DRAWN = 1 << 22  # values drawn at once, 32 MB
 
 
 def summarise(measured: list[dict[str, float]], resamples: int = 9999) -> dict[str, dict]:
     """Means over episodes, each with a bootstrap 95% interval: {metric: {"mean", "low", "high", "count"}}.
 
     measured: dicts of `measure`. The interval is the percentile bootstrap's, from a fixed seed, so that the same
-    episodes give the same interval. Infinite values (no people, not arrived, on no collision course) don't enter:
-    count is the number of episodes that do, and a metric without any is left out.
+    episodes give the same interval. Infinite values (no people, not arrived, on no collision course) don't enter. count
+    is the number of episodes with a finite value; a metric without any is left out.
     """
     summary = {}
     for name in measured[0] if measured else ():
@@ -290,7 +294,7 @@ def summarise(measured: list[dict[str, float]], resamples: int = 9999) -> dict[s
         values = values[np.isfinite(values)]
         if not len(values):
             continue
-        rng, rows = np.random.default_rng(0), max(1, _DRAWN // len(values))  # some at a time: the same draws
+        rng, rows = np.random.default_rng(0), max(1, _DRAWN // len(values))  # drawn in parts, which changes no number
         counts = [min(rows, resamples - first) for first in range(0, resamples, rows)]
         means = np.concatenate([rng.choice(values, (count, len(values))).mean(axis=1) for count in counts])
         low, high = np.percentile(means, [2.5, 97.5])

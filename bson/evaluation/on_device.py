@@ -1,9 +1,9 @@
-"""Whole episodes on a device, for scoring: agents that are JAX functions, all episodes at once,
-`bson.evaluation.metrics.Episode`s out.
+"""Whole episodes on a device, for scoring: agents are JAX functions, all episodes run at once, and each becomes a
+`bson.episodes.record.Episode`.
 
 An agent is an object with `track` and `sensor`, as for `bson.interfaces.gym.BsonEnv`, and two pure functions of
-observations with a leading axis: `begin(observation) -> memory` at the start, and `act(memory, observation) -> (actions
-(N, 2), memory)`, also at the start.
+observations with a leading axis: `begin(observation) -> memory`, called at the start, and `act(memory, observation) ->
+(actions (N, 2), memory)`, called in each step, the first included.
 """
 
 from collections.abc import Callable, Sequence
@@ -62,7 +62,7 @@ def play(
     progress: Callable[..., object] | None = None,
 ) -> list[Episode]:
     """The Episodes `seeds` of `config` with `agent`, in that order. progress: called with the number of control steps
-    that were done, of all worlds. engine: WarpConfig.
+    done since its last call, of all worlds together. engine: WarpConfig.
 
     Raises RuntimeError where physics runs out of room.
     """
@@ -125,7 +125,7 @@ def play(
 
 
 def _episode(config, seed, rows):
-    """The Episode of the `rows` {name: (T, ...)} of one world, up to where it is over."""
+    """The Episode of the `rows` {name: (T, ...)} of one world, up to its end."""
     last = int(np.argmax(rows["over"]))
     end = {name: value[last] for name, value in rows.items()}
     rows = {name: value[: last + 1] for name, value in rows.items()}

@@ -32,13 +32,13 @@ def run_episodes(
 ) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
-    make_agent: gives a callable for one world, and is called with the Setting if it takes one (see bson.agents).
-    progress(steps, episode): called after each control step of each world, with 1 and the Episode that ended with it,
-    or None. An episode does not depend on which others run beside it.
+    make_agent: gives an agent, a callable, for one world; it is called with the Setting if it takes one (see
+    bson.agents). progress(steps, episode): called after each control step of each world, with 1 and the Episode that
+    ended in this step, or None. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
-    agents = [made_for(make_agent, setting) for _ in range(nworld)]  # one that refuses does so before anything runs
+    agents = [made_for(make_agent, setting) for _ in range(nworld)]  # an agent that refuses does so at once
     session = Session(config, track, nworld, nthread=nthread)
     waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
     observations = {}
@@ -122,9 +122,9 @@ def results(
     """The content of results.json. Numbers that are not finite (no people: nearest_person) become null.
 
     played: the Episodes of each of `cells`. own: the user's own Metrics. summary: means over the episodes in which a
-    metric is finite; counts: how many these are; metrics: what each is; cells: a summary of each; config, people: the
-    first cell's; faults: the episodes in which physics failed, with the last time [s] at which it had not: these are
-    counted nowhere else. Raises ValueError where no other is left.
+    metric is finite; counts: how many these are; metrics: each metric's unit and meaning; cells: a summary of each;
+    config, people: the first cell's; faults: the episodes in which physics failed, with the last time [s] at which it
+    had not failed: these are counted nowhere else. Raises ValueError where every episode is one of these.
     """
     faults = [
         {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
@@ -175,8 +175,8 @@ def results(
 
 
 def _each_person(episode):
-    """What the robot did to each pedestrian, {"people": {name: [value, or None if it didn't meet that one]}}; {}
-    without a pair."""
+    """The robot's effects on each pedestrian, {"people": {name: [value, or None for a pedestrian whom the robot didn't
+    meet]}}; {} without a pair."""
     people = {
         name: [round(float(value), 4) if math.isfinite(value) else None for value in values]
         for name, values in episode.effects.items()
@@ -185,7 +185,7 @@ def _each_person(episode):
 
 
 def sound(episodes: Sequence[Episode]) -> list[Episode]:
-    """Those of `episodes` in which physics did not fail."""
+    """The `episodes` in which physics did not fail."""
     return [episode for episode in episodes if not episode.fault]
 
 
@@ -194,7 +194,7 @@ def _in_words(fault):
 
 
 def _summary(measured):
-    """summary, intervals and counts of results.json, over the dicts of `measure` `measured`."""
+    """summary, intervals and counts of results.json, over `measured`, dicts of `measure`."""
     rows = summarise(measured)
     return {
         "summary": {name: row["mean"] for name, row in rows.items()},
@@ -204,7 +204,7 @@ def _summary(measured):
 
 
 def versions() -> dict[str, str]:
-    """What the results were made with."""
+    """The versions of the software that made the results."""
     return files.versions("bson-macid", "mujoco", "jax", "numpy", "gymnasium")
 
 

@@ -1,5 +1,5 @@
-"""results.json: as Python has it (Results), and as it is read back: bounded, checked against one schema, and consistent
-in itself. Neither JAX nor MuJoCo is loaded for it."""
+"""results.json in Python (Results), and its reading: bounded in size, checked against one schema, and checked for
+contradictions. It loads neither JAX nor MuJoCo."""
 
 import collections
 import dataclasses
@@ -18,7 +18,7 @@ from macid.files import UsageError, write_json
 
 MOST_BYTES = 1 << 28  # an episode has some 1.5 kB, with --paired 3 kB
 MOST_EPISODES, MOST_CELLS = 100_000, 10_000
-_MOST_DEEP = 20  # lists and objects in each other; a configuration has some 5
+_MOST_DEEP = 20  # levels of lists and objects inside each other; a configuration has some 5
 _MOST_KEY = 500  # characters
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
@@ -50,7 +50,7 @@ _SCORED = msgspec.defstruct(
 
 
 class _Episode(_SCORED):
-    """Where and what an episode was, and its metrics, None where one is infinite."""
+    """An episode's cell and seed, and its metrics, None where a metric is infinite."""
 
 
 _WHAT = "Name folders of bson evaluate (--out), or their results.json."
@@ -63,7 +63,7 @@ class _Metric(msgspec.Struct):
 
 
 class Content(msgspec.Struct):
-    """What is read of results.json; what else there is was noted for people."""
+    """The fields of results.json that are read; its other fields are notes for people."""
 
     agent: _Name
     suite: _Name
@@ -84,10 +84,10 @@ class Content(msgspec.Struct):
 
 @dataclasses.dataclass(frozen=True)
 class Results:
-    """What an evaluation gave. E episodes were scored, in the order of cells and seeds.
+    """The results of an evaluation: E scored episodes, in the order of cells and seeds.
 
-    content: of results.json, as JSON has it. source: where it lies, as the user named it; the agent's name where it was
-    not saved. written: the files that the evaluation has written, the films last.
+    content: the content of results.json. source: the folder or file, as the user named it; the agent's name where the
+    results were not saved. written: the files that the evaluation has written, the films last.
     """
 
     content: dict[str, Any] = dataclasses.field(repr=False)
@@ -137,7 +137,7 @@ class Results:
 
     @property
     def rows(self) -> dict[tuple[str, int], dict[str, Any]]:
-        """{(cell, seed): the episode's metrics, as JSON has them: None for what is not finite}."""
+        """{(cell, seed): the episode's metrics, None for a value that is not finite}."""
         return {(row["cell"], row["seed"]): row for row in self.content["episodes"]}
 
     @functools.cached_property
@@ -153,20 +153,20 @@ class Results:
     @functools.cached_property
     def metrics(self) -> dict[str, np.ndarray]:
         """{metric: (E,) float64, its value in each episode}, in the units of bson.evaluation.metrics.METRICS; infinity
-        where there is no such thing, as a distance to people where there are none. Without those that an older file
-        lacks."""
+        where an episode has no value, such as a distance to people where there are none. Metrics that an older file
+        lacks are left out."""
         rows = self.content["episodes"]
         names = [metric.name for metric in metrics_of(self.content) if all(metric.name in row for row in rows)]
         return {name: np.array([_value(row[name]) for row in rows], dtype=float) for name in names}
 
     def by_cell(self, metric: str) -> dict[str, np.ndarray]:
-        """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that it
-        hasn't."""
+        """{cell: (its episodes,) float64, the values of `metric` there}. Raises KeyError for a metric that the results
+        don't have."""
         return {name: self.metrics[metric][self.cell == name] for name in self.cells}
 
     def cell_means(self, metric: str) -> np.ndarray:
-        """(cells,) float64, the mean of `metric` in each cell over the episodes in which it is finite; NaN where it is
-        in none."""
+        """(cells,) float64, the mean of `metric` in each cell over the episodes in which it is finite; NaN where no
+        episode has a finite value."""
         return np.array([cell.get("summary", {}).get(metric, math.nan) for cell in self.content["cells"]], dtype=float)
 
 
@@ -175,7 +175,8 @@ def _value(number):
 
 
 def read_results(path: str | pathlib.Path) -> dict[str, Any]:
-    """The content of the results.json at `path`, a dict. Raises UsageError, one line that names file, key and value."""
+    """The content of the results.json at `path`, a dict. Raises UsageError, one line that names the file, the key and
+    the value."""
     try:
         content = parse(path, "results", read_bytes(path, "results", MOST_BYTES), ".json")
     except UsageError as error:
@@ -199,7 +200,7 @@ _NEEDED = [field.name for field in msgspec.structs.fields(Content) if field.requ
 
 
 def _check_form(content, name):
-    """Raises UsageError for what no page or table can show: what is nested deeply, and text of more than one line."""
+    """Raises UsageError for content that no page or table can show: deep nesting, and text of more than one line."""
     waiting = [("", content, 0)]
     while waiting:
         key, value, depth = waiting.pop()
@@ -218,7 +219,7 @@ def _check_form(content, name):
 
 
 def _check_sense(found, name):
-    """Raises UsageError where what `found` (Content) says in one place contradicts another."""
+    """Raises UsageError where two parts of `found` (Content) contradict each other."""
     cells, axes = [cell.name for cell in found.cells], list(found.cells[0].grades)
     if twice := _twice(cells):
         raise UsageError(f"{name}, key 'cells': {shown(twice[0])} stands twice.")
@@ -241,5 +242,5 @@ def _check_sense(found, name):
 
 
 def _twice(names):
-    """Those of `names` that stand there more than once, in order."""
+    """The `names` that are listed more than once, in order."""
     return [name for name, count in collections.Counter(names).items() if count > 1]

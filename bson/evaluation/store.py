@@ -1,4 +1,4 @@
-"""The episodes of an unfinished evaluation on disk, so that one that was killed goes on where it was."""
+"""The episodes of an unfinished evaluation on disk, so that an evaluation that was killed can go on from there."""
 
 import dataclasses
 import hashlib
@@ -30,12 +30,12 @@ from macid.pedestrians import is_learned
 from macid.policy import load_policy
 from macid.registry import code_file
 
-_MOST_BASIS = 1 << 28  # bytes of basis.json, which has the settings of every cell
+_MOST_BASIS = 1 << 28  # bytes of basis.json, which holds the settings of every cell
 _SEAL = hashlib.sha256().digest_size  # bytes at the end of an episode's file
 
 
 def _digest(contents):
-    """A hash of some bytes. 12 hexadecimal digits."""
+    """A hash of `contents`, pieces of bytes: 12 hexadecimal digits."""
     digest = hashlib.sha256()
     for content in contents:
         digest.update(content)
@@ -43,23 +43,23 @@ def _digest(contents):
 
 
 def files_digest(basis: dict[str, Any]) -> str:
-    """A hash of the settings, maps, robots and pedestrians' weights that results with this `basis` are of."""
+    """A hash of the settings, maps, robots and pedestrians' weights behind results with this `basis`."""
     content = json.dumps([basis["cells"], basis["pedestrians"]], sort_keys=True)
     return _digest([content.encode()])
 
 
 def _agent_files(name):
-    """The file of the loaded agent `name`, or of its module, or its weights; none where it is only code of this
-    package."""
+    """The files of the loaded agent `name`: its file, its module's or its weights; none where the agent is only code of
+    this package."""
     path = code_file(name) or pathlib.Path(name)
     return [file for file in (path, assets.root() / "agents" / f"{name}.npz") if file.is_file()]
 
 
 def basis(agent: str, track: tuple[str, Any], cells: Sequence[Any], paired: bool) -> dict[str, Any]:
-    """All that the episodes of an evaluation follow from, beside their seeds, as far as that can be known.
+    """Everything from which the episodes of an evaluation follow, beside their seeds, as far as it can be known.
 
-    agent: its name, or, of one that was given itself, "module:name"; track: what `make_track` is given, track and
-    sensor.
+    agent: its name, or "module:name" for an agent that was given as an object; track: (track, sensor) as for
+    `make_track`.
     """
     models = {name for cell in cells for name in cell.config.model_shares}
     policies = [load_policy(name) for name in sorted(filter(is_learned, models))]
@@ -79,15 +79,14 @@ def basis(agent: str, track: tuple[str, Any], cells: Sequence[Any], paired: bool
 
 
 class Unfinished:
-    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, what they all follow from.
+    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, from which they all follow.
 
-    It is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of what is in the
-    file: one that was cut short or follows from something else is as if it were not there, so its episode is played
-    anew.
+    The folder is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of the file's
+    content. A file that was cut short, or follows from another basis, is ignored, and its episode is played anew.
     """
 
     def __init__(self, out: pathlib.Path, basis: dict[str, Any], resume: bool):
-        """resume: keeps the episodes that are there. Raises UsageError where they follow from something else."""
+        """resume: keeps the episodes that are there. Raises UsageError where they follow from another basis."""
         self._folder, self._basis = check_folder(out / "unfinished"), basis
         self._key = json.dumps(basis, sort_keys=True).encode()
         began = self._folder / "basis.json"
@@ -112,7 +111,7 @@ class Unfinished:
         return hashlib.sha256(self._key + content).digest()
 
     def save(self, cell: Any, episode: Episode) -> None:
-        """Keeps an episode of `cell`, or replaces it."""
+        """Saves an episode of `cell`; replaces it if it is there."""
         if not self._goes_on:
             self.discard()
             output_folder(self._folder)
@@ -136,7 +135,7 @@ class Unfinished:
             return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
 
     def discard(self) -> None:
-        """Removes it all."""
+        """Removes the folder and everything in it."""
         remove_leftovers(self._folder)
         if not self._folder.is_dir():
             return
@@ -148,7 +147,7 @@ class Unfinished:
 
 
 def _read_basis(path):
-    """What basis.json holds. Raises UsageError where that is not what an evaluation writes."""
+    """The content of basis.json. Raises UsageError for content that no evaluation writes."""
     try:
         basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
         if isinstance(basis, dict):

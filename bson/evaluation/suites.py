@@ -1,7 +1,7 @@
 """Frozen sets of episodes: assets/suites/NAME.toml.
 
-A suite is a configuration, the seeds of its episodes, and axes: each names its grades, and each grade what it changes
-of the configuration. Every combination of grades is a cell, and every cell plays the same seeds.
+A suite is a configuration, the seeds of its episodes, and axes. Each axis names its grades, and each grade names the
+fields of the configuration that it changes. Every combination of grades is a cell, and every cell plays the same seeds.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from macid.files import UsageError
 from macid.maps import load_map
 from macid.registry import Kind
 
-_SEED_STRIDE = 1_000_000  # between the episodes of --seed S and of --seed S + 1
+_SEED_STRIDE = 1_000_000  # between the episodes of --seed S and those of --seed S + 1
 _MOST_CELLS = 1000
 
 _Share = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
@@ -39,7 +39,7 @@ _Name = Annotated[
 
 
 class _Config(msgspec.Struct, forbid_unknown_fields=True):
-    """What a suite or a grade may say of a TaskConfig, which checks it further."""
+    """The fields of a TaskConfig that a suite or a grade may set; TaskConfig checks them further."""
 
     num_pedestrians: Annotated[int, Meta(ge=0, le=MAX_PEDESTRIANS)] | None = None
     pedestrian_density: _Share | None = None
@@ -69,7 +69,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """One setting of a suite. grades: ((axis, grade), ...), none where the suite has one cell only."""
+    """One setting of a suite. grades: ((axis, grade), ...), empty where the suite has one cell only."""
 
     grades: tuple[tuple[str, str], ...]
     config: TaskConfig
@@ -81,26 +81,27 @@ class Cell:
 
     @property
     def slug(self) -> str:
-        """The name, for files."""
+        """The name in a form for file names."""
         return self.name.replace(", ", "-")
 
     @property
     def content(self) -> list[Any]:
-        """All that an episode follows from beside its seed: grades, configuration, and the files that it names."""
+        """Everything from which an episode follows beside its seed: grades, configuration, and the content of the files
+        that the configuration names."""
         drawn = None
         if self.config.map:
             layout = load_map(self.config.map)
             drawn = [layout.size, layout.obstacles, layout.routed, layout.regions, layout.routes]
         setting = dataclasses.asdict(self.config)
         name = setting["robot"].pop("name")
-        if name != "jackal":  # the suites were frozen when there was no other
+        if name != "jackal":  # the suites were frozen when the Jackal was the only robot
             setting["robot"]["files"] = load_robot(name).digest
         return [self.grades, setting, drawn]
 
 
 @dataclasses.dataclass(frozen=True)
 class Suite:
-    """Episodes to be judged by: cells, each with the same seeds."""
+    """The episodes by which agents are judged: cells, each with the same seeds."""
 
     name: str
     description: str
@@ -118,15 +119,15 @@ class Suite:
 
     @property
     def digest(self) -> str:
-        """A hash of all that the episodes follow from: cells, seeds, and the maps that they name. 12 hexadecimal
-        digits."""
+        """A hash of everything from which the episodes follow: cells, seeds, and the maps that they name. 12
+        hexadecimal digits."""
         content = [self.seeds, *(cell.content for cell in self.cells)]
         text = json.dumps(content, sort_keys=True, default=np.ndarray.tolist)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def drawn(self, episodes: int | None = None, seed: int = 0) -> list[int]:
-        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set, else another set
-        of the kind.
+        """The seeds of the first `episodes` (default: all) of each cell. seed: 0 for the frozen set; another number for
+        another set of the same kind.
 
         Raises ValueError when the suite has fewer episodes.
         """
@@ -143,13 +144,14 @@ def suite_names() -> list[str]:
 
 
 def load_suite(name: str) -> Suite:
-    """The suite `name`: of `suite_names()`, or a .toml file. Raises UsageError, naming the valid choices."""
+    """The suite `name`: one of `suite_names()`, or a .toml file. Raises UsageError, naming the valid choices."""
     return SUITES.load(name)
 
 
 def read_suite(file: str | pathlib.Path) -> Suite:
     """The suite in the TOML `file`: `name`, `description`, `seeds`, `config` (a table of TaskConfig's fields) and
-    `axes` (of each, its grades, each a table of what it changes). Raises UsageError, naming what is wrong."""
+    `axes` (for each axis its grades, each a table of the fields that it changes). Raises UsageError, naming the faulty
+    part."""
     called = f"suite {shown_path(file)}"
     document = parse(file, "suite", read_bytes(file, "suite"))
     checked = convert(document, _File, called)
@@ -177,7 +179,7 @@ def read_suite(file: str | pathlib.Path) -> Suite:
 
 
 def _read(name):
-    """The suite that comes with the project, or of a file."""
+    """The suite `name`, a shipped one, or the suite in a file."""
     return read_suite(name if name.endswith(".toml") else assets.path("suites", f"{name}.toml"))
 
 

@@ -1,1 +1,1 @@
-"""The benchmark through the interfaces of others."""
+"""The benchmark behind common interfaces: Gymnasium environments, JAX functions, MJCF files."""

@@ -9,7 +9,7 @@ from macid.documents import shown
 
 
 def vector_env(engine: str = "native", **arguments: Any) -> gymnasium.vector.VectorEnv:
-    """BsonVectorEnv, or with engine="warp" bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine,
+    """BsonVectorEnv; with engine="warp" bson.interfaces.vector.WarpVectorEnv. Raises ValueError for another engine,
     UsageError without MJX-Warp."""
     if engine == "native":
         return BsonVectorEnv(**arguments)

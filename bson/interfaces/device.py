@@ -1,5 +1,5 @@
-"""Many worlds of `bson.interfaces.functional` at once, that begin the next episode by themselves: what the vector
-environment, training and the bench stand on. No step waits for the host."""
+"""Many worlds of `bson.interfaces.functional` at once, which begin the next episode by themselves. The vector
+environment, training and the bench build on them. No step waits for the host."""
 
 import os
 from typing import Any, NamedTuple
@@ -10,36 +10,36 @@ import jax.numpy as jnp
 from bson.simulation.pool import Pool
 from macid.state import GOAL_RADIUS
 
-_FASTER = 2.0  # than its motors make it, a robot that is pushed gets at most
+_FASTER = 2.0  # a pushed robot is at most this many times as fast as its motors make it
 
 
 class Carry(NamedTuple):
-    """Where all worlds stand; leading axes (num_envs,)."""
+    """The state of all worlds; leading axes (num_envs,)."""
 
     states: Any  #: State
     over: Any  #: bool: the episode has ended, and the next step begins another one
-    slot: Any  #: () int32: of the pool's next episode
-    begun: Any  #: () int32: episodes that have begun
+    slot: Any  #: () int32: the pool's slot of the next episode
+    begun: Any  #: () int32: number of episodes that have begun
     lost: Any  #: () int32: every `overflow` of the engine so far, or-ed
 
 
 class Outcome(NamedTuple):
-    """What a step brought; leading axes (num_envs,). Where an episode began in it, reward and ends are 0."""
+    """The results of a step; leading axes (num_envs,). Where an episode began in the step, reward and ends are 0."""
 
     observation: dict
     reward: Any
     terminated: Any
     truncated: Any
-    began: Any  #: bool: the action did not matter, as an episode began
+    began: Any  #: bool: an episode began, so the action had no effect
 
 
 class DeviceWorlds:
     """`env.num_envs` worlds of the BsonFuncEnv `env`, with a pool of episodes from `seed` on.
 
     `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to
-    `steps` of them, call `ready(steps)`, which gives the `episodes`, and after them `done(carry)`.
-    ahead: the most steps that are asked for at once. pool: how many episodes are kept ready; None: enough for that.
-    workers: processes that draw episodes; None: as many as there are cores to spare, for many worlds.
+    `steps` steps, call `ready(steps)`, which gives the `episodes`; after them call `done(carry)`. ahead: the most steps
+    that are asked for at once. pool: how many episodes are kept ready; None: enough for `ahead` steps. workers:
+    processes that draw episodes; None: as many as there are cores to spare, for many worlds.
     """
 
     def __init__(self, env: Any, seed: int = 0, pool: int | None = None, workers: int | None = None, ahead: int = 2):
@@ -54,7 +54,7 @@ class DeviceWorlds:
         self._begin = jax.jit(self._first)
 
     def restart(self, seed: int) -> None:
-        """Has the pool's episodes begin at `seed`; `begin` is to follow."""
+        """Starts the pool's episodes anew at `seed`; call `begin` after it."""
         pool = self.pool
         pool.close()
         self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers)
@@ -86,16 +86,17 @@ class DeviceWorlds:
         return self.pool.episodes
 
     def done(self, carry: Any) -> None:
-        """Counts the episodes that have begun until `carry`. Raises RuntimeError where physics ran out of room."""
+        """Counts the episodes that have begun up to `carry`. Raises RuntimeError where physics ran out of room."""
         self.count(self.tally(carry))
 
     @staticmethod
     def tally(carry: Any) -> jax.Array:
-        """What `count` takes: an array of its own, that outlives a `carry` which is given away."""
+        """The argument of `count`: a new array, which stays valid when the buffers of `carry` are donated to the next
+        step."""
         return jnp.stack([carry.begun, carry.lost])
 
     def count(self, tally: jax.Array) -> None:
-        """`done`, of what `tally` gave."""
+        """As `done`, from an array of `tally`."""
         begun, lost = map(int, jax.device_get(tally))
         self.pool.used((begun - self._counted) % 2**32)
         self._counted = begun
@@ -103,7 +104,7 @@ class DeviceWorlds:
             raise RuntimeError(self.env.world.engine.explain(lost))
 
     def step(self, carry: Any, actions: jax.Array, episodes: Any) -> tuple[Any, Any]:
-        """See the class. actions: (num_envs, 2)."""
+        """One control step of all worlds, see the class. actions: (num_envs, 2)."""
         env, states, over = self.env, carry.states, carry.over
         number = over.sum(dtype=jnp.int32)
         slots = (carry.slot + jnp.cumsum(over, dtype=jnp.int32) - 1) % self.pool.size
@@ -122,5 +123,5 @@ class DeviceWorlds:
         return carry, Outcome(jax.vmap(env.observation)(after), reward, terminated, truncated, over)
 
     def close(self) -> None:
-        """Ends the drawing of episodes."""
+        """Stops drawing episodes."""
         self.pool.close()

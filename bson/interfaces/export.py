@@ -18,8 +18,8 @@ from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion
 from macid.state import HEIGHT, PHYSICS_STEP, RADIUS
 
-_FRICTIONLESS = 1e-5  # the least sliding friction that MuJoCo takes
-_ROBOT = "robot"  # as bson.robot.add_robot names it
+_FRICTIONLESS = 1e-5  # the least sliding friction that MuJoCo accepts
+_ROBOT = "robot"  # the name that bson.robot.add_robot uses
 
 
 def export(
@@ -31,12 +31,14 @@ def export(
 ) -> pathlib.Path:
     """Writes the episode `seed` of `config`, with the sensors of `track`, to the folder `out`, which is new or empty:
 
-    scene.xml as it moves and is sensed, with a rangefinder for each beam of the LIDARs; scene_mjx.xml for MJX on JAX;
-    view.xml as it looks; episode.json; README.md, which tells how to read them. Returns the folder.
+    scene.xml, the scene as it moves and is sensed, with a rangefinder for each beam of the LIDARs; scene_mjx.xml, the
+    same for MJX on JAX; view.xml, the scene as it looks; episode.json; README.md, which tells how to read them. Returns
+    the folder.
 
-    command: that made it, for people to read. Readings have no noise. Raises UsageError, NoFreeSpace.
+    command: the command that made the folder, for people to read. Readings have no noise. Raises UsageError,
+    NoFreeSpace.
     """
-    world = World(config)  # without sensors: cameras need OpenGL
+    world = World(config)  # no sensors: a World with cameras needs OpenGL
     try:
         world.reset([0], [seed])
         with whole_folder(out) as folder:
@@ -47,7 +49,7 @@ def export(
 
 
 def _write(folder, world, track, seed, command):
-    """Writes all of the episode that `world`, of one world, stands at the start of."""
+    """Writes all files of the episode at whose start `world` (nworld = 1) is."""
     config, sources = world.config, robot.describe(world.config.robot).model.parent
     scene = build_spec(config, track.sensors, hidden=True)
     readings = _mount(scene, track.sensors)
@@ -93,7 +95,8 @@ def _write(folder, world, track, seed, command):
 
 
 def _mount(scene, sensors):
-    """Adds to `scene`, in which `sensors` are mounted, what reads as they do: {key: what to know of it}."""
+    """Adds to `scene`, in which `sensors` are mounted, MuJoCo's own sensors with the same readings. Returns {key: notes
+    on the reading}."""
     scene.modelname = "bson"
     look = scene.visual
     draw_plainly(look.quality)
@@ -108,18 +111,19 @@ def _mount(scene, sensors):
 
 
 def _suit_mjx(scene):
-    """Replaces in `scene` what MJX on JAX has not: contacts of cylinders with boxes, and contacts without friction."""
+    """Replaces in `scene` the features that MJX on JAX lacks: contacts of cylinders with boxes, and contacts without
+    friction."""
     for geom in scene.geoms:
         if geom.name.startswith("person") and geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE  # as long, and round beyond: the same where the cylinder is
+            geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE  # as long, and round beyond: equal along the cylinder's height
         elif geom.condim == 1:
             geom.condim, geom.friction = 3, [_FRICTIONLESS] * 3
 
 
 def _start(scene, world):
-    """The keyframe of the start of the episode of `world`."""
+    """Adds the keyframe of the start of `world`'s episode."""
     boxes = world.boxes[0]
-    for number, box in enumerate(boxes):  # where they are without the keyframe, too
+    for number, box in enumerate(boxes):  # boxes are right without the keyframe, too
         scene.body(f"box{number}").pos[:2], scene.body(f"box{number}").quat = box[:2], yaw_quaternion(box[4])
     height = [scene.body(f"box{number}").pos[2] for number in range(len(boxes))]
     places = np.concatenate([boxes[:, :2], np.reshape(height, (-1, 1))], axis=-1)
@@ -127,7 +131,7 @@ def _start(scene, world):
 
 
 def _robot_notes(model, world):
-    """What the JSON says of the robot."""
+    """The robot's part of episode.json."""
     described, config = robot.describe(world.config.robot), world.config.robot
     first = 3 * world.config.people
     actuators = robot.wheel_actuators(model, described)
@@ -251,7 +255,7 @@ _NOTES["depth"] = _NOTES["picture"]
 
 
 def _readme(content):
-    """README.md of a folder whose episode.json is `content`."""
+    """The README.md of a folder, as text. content: its episode.json."""
     kinds = {key: reading.get("read_as") for key, reading in content["readings"].items()}
     notes = {_NOTES[kind]: None for kind in kinds.values() if kind}
     if own := [key for key, kind in kinds.items() if kind is None]:

@@ -4,10 +4,10 @@
     state = jax.vmap(env.initial, in_axes=(0, None))(jnp.arange(4096), env.default_params)
     state = jax.jit(jax.vmap(env.transition))(state, actions)
 
-All of a control step happens on the device: what pedestrians decide, physics (MJX-Warp), collisions, sensors. The rules
-are those of `bson.interfaces.gym.BsonEnv`, which has actions, observations and rewards as tables. Physics agrees with
-the native engine's to a tolerance, sensors' noise is drawn otherwise, from the same distribution, and pedestrians'
-later goals too: see `bson.simulation.pool`.
+A whole control step happens on the device: pedestrians' decisions, physics (MJX-Warp), collisions, sensors. The rules
+are those of `bson.interfaces.gym.BsonEnv`, whose docstring has actions, observations and rewards as tables. Physics
+agrees with the native engine's to a tolerance. Sensors' noise and pedestrians' later goals are other draws than there:
+the noise has the same distribution; for the goals see `bson.simulation.pool`.
 """
 
 from typing import Any
@@ -33,9 +33,10 @@ ACTION_SPACE = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 class BsonFuncEnv(FuncEnv):
     """See the module. `params` is a pool of episodes (bson.simulation.pool.Drawn, with a leading axis).
 
-    num_envs: how many worlds are to be stepped together under jax.vmap: physics has room for the contacts of so many.
-    pool: how many episodes `default_params` has, with the seeds `seed`, `seed + 1`, ...; drawn when first asked for.
-    engine: WarpConfig, its limits. task: a TaskConfig (default: the paper's); config: fields of it that differ.
+    num_envs: how many worlds are to be stepped together under jax.vmap: physics has room for the contacts of this many
+    worlds. pool: how many episodes `default_params` has, with the seeds `seed`, `seed + 1`, ...; drawn when first asked
+    for. engine: WarpConfig, the engine's limits. task: a TaskConfig (default: the paper's); config: fields of the task
+    that differ.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class BsonFuncEnv(FuncEnv):
         self._params = None
 
     def get_default_params(self, **kwargs: Any) -> Any:
-        """The pool of episodes that this environment was made with: drawn by the first call."""
+        """The pool of episodes of this environment, drawn by the first call."""
         if self._params is None:
             seeds = range(self._seed, self._seed + self._pool_size)
             self._params = jax.tree.map(jnp.asarray, Drawn(*draw_all(self.config, seeds, self.has_map)))
@@ -80,7 +81,8 @@ class BsonFuncEnv(FuncEnv):
         return self.world.begin(jax.tree.map(lambda x: x[rng % size], params))
 
     def initial(self, rng: Any, params: Any = None) -> Any:
-        """The state with which an episode of the pool begins: number `rng` of it; or one that the key `rng` draws."""
+        """The state with which an episode of the pool begins: the episode at index `rng`, or, if `rng` is a key, an
+        episode drawn with it."""
         return self.world.sense(self.fresh(rng, params))
 
     def transition(self, state: Any, action: Any, rng: Any = None, params: Any = None) -> Any:
@@ -88,12 +90,12 @@ class BsonFuncEnv(FuncEnv):
         return self.world.sense(self.world.advance(state, action))
 
     def follow(self, state: Any, action: Any, over: Any, slot: Any, params: Any) -> Any:
-        """`transition`; where `over` () holds, the episode `slot` of the pool begins instead."""
+        """As `transition`, but where `over` () holds, the episode `slot` of the pool begins instead."""
         moved, fresh = self.world.advance(state, action), self.fresh(slot, params)
         return self.world.sense(jax.tree.map(lambda x, y: jnp.where(over, x, y), fresh, moved))
 
     def observation(self, state: Any, rng: Any = None, params: Any = None) -> Any:
-        """The observation in `state`: a dict, as the observation space has it."""
+        """The observation in `state`: a dict with the keys of the observation space."""
         config, pose = self.config, state.pose
         limit = velocity_limit(config.robot)
         seen = {
@@ -130,8 +132,8 @@ class BsonFuncEnv(FuncEnv):
         return (state.fault | (state.steps >= self.config.horizon)) & ~self.terminal(state)
 
     def state_info(self, state: Any, params: Any = None) -> dict[str, Any]:
-        """What the metrics need: a dict as in `bson.interfaces.gym.BsonEnv`, but `seed` (2,) is in halves of 32 bits,
-        the lower first, and `fault` is a bool."""
+        """The quantities that the metrics need: the `info` of `bson.interfaces.gym.BsonEnv`, but with `seed` (2,) as
+        halves of 32 bits, the lower first, and `fault` as a bool."""
         return {
             "seed": state.drawn.seed,
             "time": state.steps * jnp.float32(self.config.control_period),

@@ -1,4 +1,4 @@
-"""Gymnasium environments: one world, or many at once on one batch. Both are thin over `Session`."""
+"""Gymnasium environments: one world, or many at once on one batch. Both are thin layers over `Session`."""
 
 import copy
 import dataclasses
@@ -27,7 +27,7 @@ def _check_render_mode(render_mode):
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """`action` as floats of `shape`. Raises ValueError for what are no finite numbers of that shape."""
+    """`action` as floats of `shape`. Raises ValueError for anything but finite numbers of that shape."""
     try:
         action = np.asarray(action, dtype=float)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -40,7 +40,7 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def check_seed(seed: Any) -> None:
-    """Raises ValueError for what is no seed, or list of seeds, of an episode."""
+    """Raises ValueError unless `seed` is an episode's seed or a list of such seeds."""
     seeds = [] if seed is None else np.ravel(np.array(seed, dtype=object))
     for one in seeds:
         if one is not None and not (isinstance(one, (int, np.integer)) and 0 <= one < 2**62):
@@ -54,7 +54,7 @@ def plain_seed(seed: Any) -> Any:
 
 
 def _episode_options(options):
-    """A copy of a reset's options, which may be None. Raises ValueError for what is no dict with names for keys."""
+    """A copy of a reset's options, which may be None. Raises ValueError for anything but a dict with names for keys."""
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise ValueError(f"options must be a dict of TaskConfig's fields by name, not {shown(options)}.")
     return dict(options or {})
@@ -72,13 +72,13 @@ def _episode_config(config, track, options):
 
 
 def frames_per_second(config: TaskConfig) -> float:
-    """Of a film of what happens in `config`, as fast as it happens."""
+    """The frame rate [1/s] of a film of `config` in real time: one frame for each control step."""
     fps = 1.0 / config.control_period
     return round(fps) if abs(fps - round(fps)) < 1e-6 else fps
 
 
 def _document(value):
-    """`value`, an argument of `make`, as JSON has it; what comes of it is taken for the same argument."""
+    """`value`, an argument of `make`, in a form for JSON that `make` accepts in its place."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):
@@ -93,8 +93,8 @@ def _rebuilt(kind, arguments):
 
 
 class Rebuilt:
-    """An environment that pickle makes anew from its `_arguments`, and that copy.deepcopy copies as it stands, to play
-    on equally; what it draws with is left out."""
+    """An environment that pickle makes anew from its `_arguments`. copy.deepcopy copies its present state, and the copy
+    plays on equally, but without the attributes `_not_copied`, such as renderers."""
 
     _arguments: dict[str, Any]
     _not_copied: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ class Specified(Rebuilt):
     _spec: EnvSpec | None = None
 
     def _told_spec(self):
-        """The EnvSpec that it was made by, or None."""
+        """The EnvSpec by which the environment was made, or None."""
         return self._spec
 
     def _note_spec(self, spec):
@@ -127,7 +127,7 @@ class Specified(Rebuilt):
             spec.kwargs = kwargs
         self._spec = spec
 
-    spec: Any = property(_told_spec, _note_spec)  # Gymnasium has an attribute in its place
+    spec: Any = property(_told_spec, _note_spec)  # Gymnasium has a plain attribute here
 
 
 class BsonEnv(Specified, gymnasium.Env):
@@ -171,7 +171,7 @@ class BsonEnv(Specified, gymnasium.Env):
     It terminates at the goal (within 0.5 m) and is truncated after `horizon` control steps, or where physics fails.
 
     ## Info
-    All that the metrics need. No observation shows what failed.
+    The quantities that the metrics need. Where physics fails, the observation is the last good one.
 
     | key | shape | what | frame, unit |
     |---|---|---|---|
@@ -228,7 +228,7 @@ class BsonEnv(Specified, gymnasium.Env):
 
     @property
     def world(self) -> World:
-        """The World (nworld = 1), for whoever needs more than the observation."""
+        """The World (nworld = 1), for callers that need more than the observation."""
         return self._session.world
 
     def reset(
@@ -257,12 +257,13 @@ class BsonEnv(Specified, gymnasium.Env):
         action = checked_action(action, (2,))
         observation, reward, terminated, truncated = self._session.step([0], action[None])
         if self.render_mode is not None:
-            assert self._recorder is not None  # since the reset
+            assert self._recorder is not None  # made by the reset
             self._recorder.snap()
         return first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
     def render(self) -> np.ndarray | None:
-        """The present as an RGB image (height, width, 3) uint8: chase view, map, the robot's own view."""
+        """The present state as an RGB image (height, width, 3) uint8: chase view, map, and the view of the robot's
+        camera."""
         if self.render_mode is None or self._recorder is None:
             return None
         from bson.episodes.film import Film
@@ -272,7 +273,7 @@ class BsonEnv(Specified, gymnasium.Env):
         return self._film.frame(self._recorder.episode(), -1)
 
     def close(self) -> None:
-        """Frees all that it holds; closing twice does no harm. Nothing can be stepped or reset then."""
+        """Frees all resources; closing twice does no harm. After it the environment can't be stepped or reset."""
         self._close_film()
         self._recorder = None
         self._session.close()
@@ -290,10 +291,10 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
     """`num_envs` worlds of `BsonEnv` on one MuJoCo batch, threaded by MuJoCo itself; no subprocesses.
 
     Spaces, arguments and infos are BsonEnv's with a leading axis. `reset(seed=s)` plays episodes s, s + 1, ...; a list
-    gives one a world. Options of `reset` hold for all episodes until the next call of `reset`. autoreset_mode: as
-    Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp" `gymnasium.make_vec`
-    gives bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. stable-baselines3 takes it as
-    `bson.learning.vec_env.WorldsVecEnv(env)`.
+    gives one seed for each world. Options of `reset` hold for all episodes until the next call of `reset`.
+    autoreset_mode: as Gymnasium defines them: "NextStep" (default), "SameStep" or "Disabled". With engine="warp"
+    `gymnasium.make_vec` gives bson.interfaces.vector.WarpVectorEnv instead, on a GPU if there is one. For
+    stable-baselines3, wrap it: `bson.learning.vec_env.WorldsVecEnv(env)`.
     """
 
     metadata = _VECTOR_METADATA
@@ -331,7 +332,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     @property
     def world(self) -> World:
-        """The World, for whoever needs more than the observation."""
+        """The World, for callers that need more than the observation."""
         return self._session.world
 
     def _seeds(self, seed):
@@ -400,7 +401,7 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
         return self._session.observe(self._all), reward, terminated, truncated, {**self._infos(self._all), **extra}
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees all that it holds. Nothing can be stepped or reset then."""
+        """Frees all resources. After it the environment can't be stepped or reset."""
         self._session.close()
 
     def _infos(self, ids):
@@ -427,5 +428,5 @@ class BsonVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
 
 def first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The observation of the first world, of a batch's."""
+    """The first world's observation, from the observations of a batch."""
     return {name: value[0] for name, value in observation.items()}

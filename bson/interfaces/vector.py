@@ -19,20 +19,22 @@ from macid.documents import shown
 
 OUTPUTS = ("numpy", "jax", "torch")
 _METADATA = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP, "jax": True}
-_NO_SEED = 2**31, 2**61  # where episodes begin whose seed nobody gave
+_NO_SEED = 2**31, 2**61  # the first episode's seed is drawn from here where the user gives none
 
 
 class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
     """`num_envs` worlds of `bson.interfaces.gym.BsonEnv` on one device, with the spaces, infos and arguments of
     BsonVectorEnv.
 
-    Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which they begin, and none comes twice. A
-    world whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default mode).
+    Episodes have the seeds s, s + 1, ... of `reset(seed=s)`, in the order in which the episodes begin; no seed comes
+    twice. A world whose episode ended begins the next one in the step that follows (NextStep, Gymnasium's default
+    mode).
 
-    output: what observations, rewards, ends and infos are: "numpy", or "jax" or "torch" arrays on the device, without a
-    copy. With these `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and `info["fault"]` a bool.
-    Actions may be any of the three. pool: episodes that are kept ready; workers: processes that draw them; None: as
-    many as are needed. limits: a dict of fields of bson.simulation.engines.warp.WarpConfig.
+    output: the kind of arrays for observations, rewards, ends and infos: "numpy", or "jax" or "torch" on the device,
+    without a copy. With "jax" and "torch" `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and
+    `info["fault"]` a bool. Actions may be of any of the three kinds. pool: how many episodes are kept ready; workers:
+    processes that draw them; None: as many as are needed. limits: a dict of fields of
+    bson.simulation.engines.warp.WarpConfig.
     """
 
     metadata = _METADATA
@@ -100,10 +102,10 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         worlds, step = self._worlds, self._step
         if self._carry is None or worlds is None or step is None:
             raise gymnasium.error.ResetNeeded("Call reset before step.")
-        episodes = worlds.ready(2)  # the last step may not be counted yet
+        episodes = worlds.ready(2)  # 2: the last step may not be counted yet
         self._carry, outcome, info, tally = step(self._carry, self._taken(actions), episodes)
         if self._tally is not None:
-            worlds.count(self._tally)  # of the step before, so that nobody waits for this one
+            worlds.count(self._tally)  # of the step before, so that the host need not wait for this step
         self._tally = tally
         ends = outcome.reward, outcome.terminated, outcome.truncated
         observation, (reward, terminated, truncated), info = self._given((outcome.observation, ends, self._infos(info)))
@@ -112,7 +114,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         return observation, reward, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees all that it holds. Nothing can be stepped or reset then."""
+        """Frees all resources. After it the environment can't be stepped or reset."""
         self._close_worlds()
 
     def _close_worlds(self):
@@ -121,12 +123,12 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         self._worlds = self._carry = self._step = self._tally = None
 
     def _stepped(self, carry, actions, episodes):
-        assert self._worlds is not None  # or there is no carry
+        assert self._worlds is not None  # there is a carry, so there are worlds
         carry, outcome = self._worlds.step(carry, actions, episodes)
         return carry, outcome, jax.vmap(self._func.state_info)(carry.states), self._worlds.tally(carry)
 
     def _taken(self, actions):
-        """`actions` (num_envs, 2) as a JAX array. Raises ValueError for what has another shape, or is not finite."""
+        """`actions` (num_envs, 2) as a JAX array. Raises ValueError for another shape or values that are not finite."""
         if not isinstance(actions, jax.Array):
             if hasattr(actions, "__dlpack__") and not isinstance(actions, np.ndarray):
                 actions = jnp.from_dlpack(actions)
@@ -158,7 +160,7 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
 
 def _one_seed(seed):
-    """`seed` as an int, or None. Raises ValueError for what is no seed."""
+    """`seed` as an int, or None. Raises ValueError for anything else."""
     check_seed(seed)
     if seed is not None and np.ndim(seed):
         raise ValueError("The engine 'warp' takes one seed: its episodes have that, and those that follow.")

@@ -1,5 +1,5 @@
-"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. What the paper gives (sec. VI-D) is the preset
-`paper` of bson.learning.train; the defaults differ where that learns better, or in less time.
+"""PPO, SAC and TAC from stable-baselines3, and their hyperparameters. The preset `paper` of bson.learning.train has the
+paper's values (sec. VI-D); the defaults differ where that learns better, or in less time.
 
 Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a million updates weeks of two cores: SAC's
 and TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
@@ -22,11 +22,11 @@ class PpoConfig:
 
     hidden: tuple[int, ...] = (64, 64, 64)
     learning_rate: float = 1e-3
-    final_learning_rate: float = 5e-5  # annealed to, linearly over training
-    gamma: float = 0.99  # a control step
+    final_learning_rate: float = 5e-5  # reached linearly over training
+    gamma: float = 0.99  # per control step
     lam: float = 0.95  # lambda of GAE
     clip: float = 0.2
-    rollout: int = 128  # control steps of each world between updates
+    rollout: int = 128  # control steps of each world between two updates
     batch: int = 512
     epochs: int = 6
     log_std: float = -0.7  # initial
@@ -60,18 +60,18 @@ class SacConfig:
 
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 1e-3
-    gamma: float = 0.99  # a control step
-    alpha: float = 0.02  # weight of the entropy: the usual 0.2, of rewards a tenth as large as is usual
+    gamma: float = 0.99  # per control step
+    alpha: float = 0.02  # weight of the entropy: a tenth of the usual 0.2, as rewards are a tenth of the usual size
     batch: int = 256
-    buffer: int = 300_000  # steps
-    learning_starts: int = 10_000  # random steps before
-    steps_per_update: int = 16  # one a control step of 16 worlds
+    buffer: int = 300_000  # size of the replay buffer in steps
+    learning_starts: int = 10_000  # random steps before learning
+    steps_per_update: int = 16  # 16: one update per control step of 16 worlds
     q: float = 1.0  # entropic index
-    joint: bool = False  # ln_q of the action's density; False: the sum over its dimensions of ln_q of each one's
+    joint: bool = False  # True: ln_q of the action's density; False: the sum of ln_q of each dimension's density
 
     def build(self, env: Any, seed: int) -> Any:
         """The stable-baselines3 model that learns in `env`."""
-        every = self.steps_per_update // math.gcd(self.steps_per_update, env.num_envs)  # control steps of all worlds
+        every = self.steps_per_update // math.gcd(self.steps_per_update, env.num_envs)  # of all worlds
         return SAC(
             TsallisPolicy,
             env,
@@ -96,8 +96,8 @@ def linear_layers(module: torch.nn.Module) -> list[tuple[np.ndarray, np.ndarray]
 
 
 def export(model: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
-    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" of one
-    with an actor, as SAC has, "clip" of others."""
+    """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" for a
+    model with an actor, such as SAC's, "clip" for others."""
     if hasattr(model, "actor"):
         return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
     policy = model.policy

@@ -1,5 +1,5 @@
-"""All of a robot's training but its worlds, as arrays and JSON. stable-baselines3's own save keeps pickles, which run
-code."""
+"""Checkpoints of a robot's training, all of it but its worlds, as arrays and JSON. stable-baselines3's own save uses
+pickles, which can run code when they are read."""
 
 from typing import Annotated, Any, Literal
 
@@ -11,7 +11,7 @@ from macid.learning.curves import check_arrays
 from macid.policy import check_layers
 
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam keeps of each parameter
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's state for each parameter
 _VARIABLES = ("log_ent_coef", "ent_coef_tensor")  # SAC's tensors beside its networks
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 
@@ -22,7 +22,7 @@ class _Replay(msgspec.Struct):
 
 
 class _Numpy(msgspec.Struct):
-    """numpy.random's state beside its 624 words."""
+    """The state of numpy.random, beside its 624 words."""
 
     pos: Annotated[int, msgspec.Meta(ge=0, le=624)]
     has_gauss: Annotated[int, msgspec.Meta(ge=0, le=1)]
@@ -43,20 +43,20 @@ class _Keeper(msgspec.Struct):
 
 
 class Noted(msgspec.Struct):
-    """What a checkpoint notes beside its arrays."""
+    """A checkpoint's values beside its arrays."""
 
     steps: _Count
     updates: _Count
     episodes: _Count
     rates: dict[str, list[float]]  #: learning rates of each optimiser
-    stepped: list[str]  #: optimisers that have moments
+    stepped: list[str]  #: optimisers that have moments already
     replay: _Replay | None
     numpy: _Numpy
     keeper: _Keeper
 
 
 def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """({name: array}, what to note, as Noted) of a model and of the state of its keeper."""
+    """({name: array}, the values of a Noted) of a model and of its keeper's state."""
     found, rates, stepped = {}, {}, []
     for name, state in model.get_parameters().items():
         if "param_groups" not in state:
@@ -69,7 +69,7 @@ def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], 
             found |= {f"{name}/{index}/{key}": moment.cpu().numpy() for key, moment in moments.items()}
     found |= {name: tensor.detach().cpu().numpy() for name, tensor in _variables(model).items()}
     replay, noted_replay = getattr(model, "replay_buffer", None), None
-    rows = 0  # of the replay buffer
+    rows = 0  # filled rows of the replay buffer
     if replay is not None:
         rows = len(replay.observations) if replay.full else replay.pos
         found |= {f"replay/{name}": getattr(replay, name)[:rows] for name in _REPLAY}
@@ -93,9 +93,10 @@ def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], 
 
 
 def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], layers: Any) -> dict[str, Any]:
-    """Puts a checkpoint's arrays `found` and what it `noted` into a new `model`; returns the state of its keeper.
+    """Puts a checkpoint's arrays `found` and its values `noted` (Noted) into a new `model`; returns the keeper's state.
 
-    layers: such as the keeper's best has. Raises ValueError, before anything is changed, for what is of another model.
+    layers: an example with the shapes of the policy's layers. Raises ValueError, before anything is changed, for a
+    checkpoint of another model.
     """
     parameters, wanted = model.get_parameters(), {}
     for name, state in parameters.items():
@@ -114,7 +115,7 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
     replay, filled = getattr(model, "replay_buffer", None), noted["replay"]
     if (replay is None) != (filled is None):
         raise ValueError("it is of another algorithm: one has a replay buffer")
-    rows = 0  # of the replay buffer
+    rows = 0  # filled rows of the replay buffer
     if replay is not None:
         rows = len(replay.observations) if filled["full"] else filled["pos"]
         if not filled["pos"] < len(replay.observations):
@@ -168,7 +169,7 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
 
 
 def _variables(model):
-    """{name: tensor} of what a model learns or holds beside its networks."""
+    """{name: tensor} of a model's variables beside its networks."""
     return {name: value for name in _VARIABLES if torch.is_tensor(value := getattr(model, name, None))}
 
 

@@ -1,7 +1,8 @@
 """Proximal policy optimisation in worlds on a device (MJX-Warp): rollouts and updates in one compiled program.
 
-Features, networks and policies are those of PPO by stable-baselines3 (bson.learning.train), so that `bson evaluate` and
-NumPy run what comes of it; estimates and updates are those of pedestrians (macid.learning.ppo). It needs no torch.
+Features, networks and policies are the same as for PPO by stable-baselines3 (bson.learning.train), so that `bson
+evaluate` and NumPy can run the result. Advantages and updates are the pedestrians' (macid.learning.ppo). Torch is not
+needed.
 """
 
 import dataclasses
@@ -37,24 +38,24 @@ from macid.learning.curves import (
 from macid.policy import write_network
 
 ACTIONS = 2
-_FIGURES = ("return", "success", "collided", "length")  # of episodes that ended, means
+_FIGURES = ("return", "success", "collided", "length")  # means over the episodes that ended
 
 
 @dataclasses.dataclass(frozen=True)
 class DevicePpoConfig:
-    """Hyperparameters, as bson.learning.algorithms.PpoConfig has them for a few worlds."""
+    """Hyperparameters, for many worlds; bson.learning.algorithms.PpoConfig has them for a few."""
 
     hidden: tuple[int, ...] = (64, 64, 64)
     learning_rate: float = 1e-3
-    final_learning_rate: float = 5e-5  # annealed to, linearly over training
-    gamma: float = 0.99  # a control step
+    final_learning_rate: float = 5e-5  # reached linearly over training
+    gamma: float = 0.99  # per control step
     lam: float = 0.95  # lambda of GAE
     clip: float = 0.2
-    rollout: int = 32  # control steps of each world between updates
-    batches: int = 8  # minibatches of an epoch
+    rollout: int = 32  # control steps of each world between two updates
+    batches: int = 8  # minibatches in an epoch
     epochs: int = 4
     log_std: float = -0.7  # initial
-    value_scale: float = 0.1  # of rewards, inside GAE and the value's loss
+    value_scale: float = 0.1  # factor on rewards, inside GAE and the value's loss
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,22 +76,22 @@ class DeviceTrainConfig:
         for name in ("steps", "num_envs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
-        TaskConfig().replace(**self.task)  # raises what is wrong with it
+        TaskConfig().replace(**self.task)  # raises where a field is not valid
 
     @property
     def name(self) -> str:
-        """The algorithm, the engine, and among whom where these are not the default pedestrians."""
+        """The algorithm, the engine, and the pedestrians' model where it is not the default one."""
         model = self.task.get("pedestrian_model")
         return "-".join(["ppo-warp", *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
     @property
     def updates(self) -> int:
-        """How often rollouts are learned from."""
+        """The number of updates, one after each rollout."""
         return max(1, -(-self.steps // (self.num_envs * self.hyperparameters.rollout)))
 
 
 class Learner(NamedTuple):
-    """What a training goes on from, beside its worlds."""
+    """The state of a training, beside its worlds."""
 
     parameters: Any
     optimizer: Any
@@ -99,16 +100,16 @@ class Learner(NamedTuple):
 
 
 class Stream(NamedTuple):
-    """Where the worlds of a training stand; leading axes (num_envs,)."""
+    """The state of a training's worlds; leading axes (num_envs,)."""
 
     carry: Any
     scans: Any  #: (num_envs, SCANS[-1] + 1, SECTORS)
-    seen: dict  #: goal and velocity of the last observation
-    earned: Any  #: reward of the episode so far
+    seen: dict  #: goal and velocity in the last observation
+    earned: Any  #: sum of rewards in the episode so far
 
 
 def network(layers: Any, x: jax.Array) -> jax.Array:
-    """What `bson.agents.learned` runs: layers with ReLU between, x (..., in)."""
+    """The network of `bson.agents.learned`: layers with ReLU between, applied to x (..., in)."""
     for weight, bias in layers[:-1]:
         x = jnp.maximum(x @ weight + bias, 0.0)
     weight, bias = layers[-1]
@@ -121,9 +122,9 @@ class DevicePpo:
     def __init__(self, config: DeviceTrainConfig, workers: int | None = None, engine: Any = None):
         self.config, self.hyper = config, config.hyperparameters
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, **config.task)
-        self._ahead = 2 * self.hyper.rollout  # an iteration that runs, and one that is asked for
+        self._ahead = 2 * self.hyper.rollout  # steps of a running iteration and of the next, already asked for
         self._top = (env.config.robot.max_speed, env.config.robot.max_yaw_rate)
-        self.setting = Setting.of(env.config, env.track)  #: in which it learns
+        self.setting = Setting.of(env.config, env.track)  #: the setting in which it learns
         self.first_seed = 2**32 * (config.seed + 1)  # of its episodes
         self.worlds = DeviceWorlds(env, self.first_seed, workers=workers, ahead=self._ahead)
         hyper, number = self.hyper, config.num_envs * self.hyper.rollout
@@ -171,7 +172,8 @@ class DevicePpo:
         return x, mean + jnp.exp(log_std) * z, ppo.gaussian_log_density(z, log_std)
 
     def _step(self, parameters, episodes, stream, key):
-        """One control step of all worlds: the Stream after it, and what is learned from."""
+        """One control step of all worlds: the Stream after it, the samples to learn from, the number of episodes that
+        ended, and the sums of their figures."""
         x, action, log_probability = self._act(parameters, stream, key)
         value = network(parameters["value"], x)[..., 0]
         carry, outcome = self.worlds.step(stream.carry, action, episodes)
@@ -179,8 +181,8 @@ class DevicePpo:
         earned = jnp.where(outcome.began, 0.0, stream.earned) + outcome.reward
         counts = carry.states.counts[:, 0]
         figures = jnp.stack([earned, outcome.terminated, counts > 0, carry.states.steps], axis=-1)
-        # The step with which an episode begins is nobody's deed: with its value for a reward it teaches nothing, and
-        # what ended at the horizon counts on with the value of where it ended.
+        # No action caused the step with which an episode begins: with the value as its reward it teaches nothing. An
+        # episode cut off at the horizon is credited with the value of the state in which it ended.
         reward = jnp.where(outcome.began, value, outcome.reward * self.hyper.value_scale)
         after = Stream(
             carry,
@@ -222,9 +224,9 @@ class DevicePpo:
         return learner, stream, told, self.worlds.tally(stream.carry)
 
     def run(self, learner: Any, stream: Any, number: int = 1) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
-        """`number` iterations; yields (Learner, Stream, figures {name: number}) after each. It looks at figures one
+        """`number` iterations; yields (Learner, Stream, figures {name: number}) after each. It reads figures one
         iteration late, so that the device need not wait."""
-        waiting = []  # figures and tallies
+        waiting = []  # figures and tallies not read yet
         for index in range(number + 1):
             if index < number:
                 episodes = self.worlds.ready(self._ahead)
@@ -236,21 +238,21 @@ class DevicePpo:
                 yield learner, stream, {name: float(value) for name, value in jax.device_get(told).items()}
 
     def layers(self, learner: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The policy's layers, as bson.agents.learned has them."""
+        """The policy's layers, as bson.agents.learned takes them."""
         layers = learner.parameters["policy"]["layers"]
         return [(np.asarray(weight), np.asarray(bias)) for weight, bias in layers]
 
     def close(self) -> None:
-        """Ends the drawing of episodes."""
+        """Stops drawing episodes."""
         self.worlds.close()
 
 
 class Noted(msgspec.Struct, forbid_unknown_fields=True):
-    """What a checkpoint notes beside its arrays."""
+    """A checkpoint's values beside its arrays."""
 
     curve: list[dict[str, float]]
     spent: float
-    used: int  # episodes that were begun
+    used: int  # number of episodes begun
 
 
 def train(
@@ -266,8 +268,8 @@ def train(
 
     show: called after each update with the steps done and figures {name: value} of the episodes that ended in it.
     resume: goes on from the checkpoint, if there is one; the worlds then begin the episodes that follow. Raises
-    UsageError if the folder has another configuration's training, or, without `resume`, this one's, or if another
-    process trains there.
+    UsageError if the folder has a training of another configuration, if it has one of this configuration and `resume`
+    is not set, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     with lock_folder(path, FILES, alone=("config.json",)):
@@ -307,7 +309,7 @@ def _train(trainer, folder, show, every):
     left = config.updates - int(learner.done)
     stream = trainer.stream() if left > 0 else None
     while left > 0:
-        some, left = min(left, 16), left - min(left, 16)  # the device is not waited for within
+        some, left = min(left, 16), left - min(left, 16)  # the host does not wait for the device within these
         for now in trainer.run(learner, stream, some):
             learner, stream, figures = now
             steps = (len(curve) + 1) * per

@@ -24,10 +24,10 @@ class BcConfig:
     """Behaviour cloning. `steps` of training are control steps of demonstrations."""
 
     expert: str = "ppo"  # a shipped agent or a .npz file
-    keep: float = 0.5  # share of the episodes, those of the highest SNS
+    keep: float = 0.5  # share of the episodes to keep, those with the highest SNS
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 1e-3
-    final_learning_rate: float = 5e-5  # annealed to, linearly over training
+    final_learning_rate: float = 5e-5  # reached linearly over training
     batch: int = 256
     epochs: int = 20
 
@@ -42,7 +42,7 @@ def demonstrate(
     progress: Callable[[int], object] | None = None,
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Episodes of `expert` (an agent's factory) until they hold `steps` control steps: [(SNS, features (T, FEATURES),
-    actions (T, 2)), ...]. progress: called with the control steps of each batch step."""
+    actions (T, 2)), ...]. progress: called after each step of the batch with its number of control steps."""
     setting = Setting.of(config, track)
     agent = cast(Learned, made_for(expert, setting))
     session = Session(config, track, nworld, seeds=[seed + index for index in range(nworld)])
@@ -92,9 +92,10 @@ def clone(
     seed: int,
     show: Callable[[int, float, float], object] = lambda epoch, loss, held_out: None,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Layers that map features `x` (N, FEATURES) to `action` (N, 2), by least squares; a twentieth is held out.
+    """Layers that map features `x` (N, FEATURES) to `action` (N, 2), by least squares; a twentieth of the rows is held
+    out.
 
-    show: called after each epoch with its number, the loss and that of the held-out share.
+    show: called after each epoch with its number, the loss, and the loss on the held-out rows.
     """
     torch.manual_seed(seed)
     sizes = (FEATURES, *config.hidden, action.shape[1])

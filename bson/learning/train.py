@@ -52,8 +52,8 @@ _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
     "fast": ALGORITHMS,
-    # What the paper gives (secs. IV-C, VI-D). It gives no weight of the entropy: that is of TAC's authors (Lee et al.
-    # 2020).
+    # The paper's values (secs. IV-C, VI-D). The paper gives no weight of the entropy: it is taken from TAC's authors
+    # (Lee et al. 2020).
     "paper": {
         "ppo": PpoConfig(final_learning_rate=1e-3, gamma=0.999, batch=128, epochs=10),
         "sac": _PAPER_SAC,
@@ -64,8 +64,8 @@ PRESETS = {
 
 
 def _own(found, name):
-    """Somebody's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3
-    model; `export(model)`, if there is one, gives layers and output as algorithms.export does."""
+    """The user's own algorithm: a dataclass, or its class, with `build(env, seed)`, which gives a stable-baselines3
+    model. If it has `export(model)`, that method gives layers and output as algorithms.export does."""
     with KIND.running(name, "making one"):
         found = found() if isinstance(found, type) else found
     if not (dataclasses.is_dataclass(found) and callable(getattr(found, "build", None))):
@@ -77,16 +77,16 @@ KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
 
 
 def hyperparameters(algo: str, preset: str = "fast") -> Any:
-    """The configuration of the algorithm `algo` in a preset; one's own algorithm has it the same in all. Raises
-    UsageError, naming the valid choices."""
+    """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset.
+    Raises UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
     return PRESETS[preset].get(algo) or KIND.load(algo)
 
 
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
-_VALIDATION_SEED = 9  # of the `paper` suite: other episodes than those that are scored
-_RECENT = 100  # ended episodes over which the curve's means go
+_VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
+_RECENT = 100  # number of ended episodes in the curve's means
 _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
 
 
@@ -99,9 +99,9 @@ class TrainConfig:
     steps: int = 1_000_000  # control steps, of all worlds together
     task: dict = dataclasses.field(default_factory=dict)  # fields of TaskConfig that differ from the paper's setting
     num_envs: int = 16
-    validate_every: int = 100_000  # steps; the policy that scores best is the one that is kept
+    validate_every: int = 100_000  # steps; the policy that scores best is kept
     validate_episodes: int = 64
-    hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or one's own; default: the algorithm's
+    hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
 
     def __post_init__(self):
         found = KIND.load(self.algo)
@@ -110,7 +110,7 @@ class TrainConfig:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
-        TaskConfig().replace(**self.task)  # raises what is wrong with it
+        TaskConfig().replace(**self.task)  # raises where a field is not valid
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", found)
 
@@ -121,8 +121,8 @@ class TrainConfig:
 
     @property
     def name(self) -> str:
-        """The algorithm, its preset where that is not the default, and among whom where these are not the default
-        pedestrians: "ppo", "ppo-paper", "ppo-orca"."""
+        """The algorithm, its preset where it is not the default one, and the pedestrians' model where it is not the
+        default one: "ppo", "ppo-paper", "ppo-orca"."""
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
             paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
@@ -132,19 +132,20 @@ class TrainConfig:
 
 
 class _Keeper:
-    """Writes policy.npz and policy.json of a training, of what did best on the validation episodes, and curve.csv.
+    """Writes a training's policy.npz and policy.json, of the policy that did best on the validation episodes, and
+    curve.csv.
 
     board: the curves.Board that gets the curve and the validations too, once there is one."""
 
     def __init__(self, config, folder):
         self.config, self.folder, self.board = config, folder, None
         self.curve, self.validations, self.spent = [], [], 0.0
-        self.best: dict | None = None  # of what scored best: layers, output, steps, validation
+        self.best: dict | None = None  # the policy that scored best: layers, output, steps, validation
         self._begin = time.monotonic()
 
     @property
     def state(self):
-        """What a checkpoint holds of it."""
+        """The keeper's part of a checkpoint."""
         return {"curve": self.curve, "validations": self.validations, "best": self.best, "spent": self.seconds}
 
     def restore(self, state):
@@ -158,8 +159,8 @@ class _Keeper:
         return self.spent + time.monotonic() - self._begin
 
     def validate(self, layers, output, steps, interrupted=lambda: False):
-        """Scores a policy on the validation episodes, and keeps it if it is the best so far; its scores. Raises
-        KeyboardInterrupt once it was `interrupted`."""
+        """Scores a policy on the validation episodes, and keeps it if it is the best so far; returns its scores. Raises
+        KeyboardInterrupt once interrupted() is true."""
 
         def progress(steps, episode):
             if interrupted():
@@ -181,7 +182,7 @@ class _Keeper:
         return scores
 
     def log(self, row, more=None):
-        """Adds `row`, {name: number}, to the curve. more: what only the board gets, of the same kind."""
+        """Adds `row`, {name: number}, to the curve. more: further numbers, {name: number}, for the board only."""
         self.curve.append(row)
         write_curve(self.folder / "curve.csv", self.curve)
         if self.board:
@@ -190,7 +191,7 @@ class _Keeper:
     def write(self, steps):
         """Writes the best policy so far, with its recipe."""
         best = self.best
-        assert best is not None  # since the first validation
+        assert best is not None  # set by the first validation
         recipe = {
             "name": self.config.name,
             **plain(self.config),
@@ -258,7 +259,8 @@ def _save_checkpoint(model, keeper):
 
 
 def _validate(model, keeper, interrupted):
-    """Scores of the model's policy now, see `_Keeper.validate`. Ctrl-C leaves a checkpoint, which goes on with this."""
+    """Scores of the model's present policy, see `_Keeper.validate`. Ctrl-C leaves a checkpoint; a resumed training
+    begins with this validation."""
     try:
         return keeper.validate(*_export(keeper.config, model), model.num_timesteps, interrupted)
     except KeyboardInterrupt:
@@ -271,12 +273,12 @@ def _export(config, model):
 
 
 def _env(config, steps=0):
-    """The worlds, whose episodes follow from the seed and from how many steps were done before."""
+    """The worlds; their episodes follow from the seed and from `steps`, the number of steps done before."""
     return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
 
 
 def _restored(keeper):
-    """The model of the checkpoint in the keeper's folder; its keeper's state is restored. None where there is none."""
+    """The model of the checkpoint in the keeper's folder; the keeper's state is restored. None without a checkpoint."""
     config, saved = keeper.config, read_checkpoint(keeper.folder, checkpoint.Noted)
     if not saved:
         return None
@@ -318,18 +320,18 @@ def train(
     episodes have ended, curve.csv.
 
     tensorboard: whether the curve, the validations and stable-baselines3's losses are logged for TensorBoard too (see
-    macid.learning.curves.Board).
-    show: called now and then with the steps done and figures {name: value}, of recent episodes or of a validation.
-    resume: goes on from the checkpoint, if there is one. All is as it was but the worlds, which begin new episodes, and
-    the running means of the curve. Ctrl-C leaves a checkpoint, once there is something to keep. BC has no checkpoints:
-    it begins anew, unless it was done. Raises UsageError if the folder has another configuration's training, or,
-    without `resume`, this one's, or if another process trains there.
+    macid.learning.curves.Board). show: called now and then with the steps done and figures {name: value}, of recent
+    episodes or of a validation. resume: goes on from the checkpoint, if there is one. Everything is restored but the
+    worlds, which begin new episodes, and the running means of the curve. Ctrl-C leaves a checkpoint, once there is
+    something to keep. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the folder has a
+    training of another configuration, if it has one of this configuration and `resume` is not set, or if another
+    process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
     if config.algo == "bc" and not is_done(config, path):
-        _expert(config)  # refused before anything is made
+        _expert(config)  # refuses a wrong expert before anything is written
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -371,7 +373,7 @@ def train_with_bar(
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
         def show(steps, figures, validation=False):
-            if not figures and not bar.n:  # a checkpoint's, which took no time now
+            if not figures and not bar.n:  # figures of a checkpoint, which took no time now
                 bar.initial = steps
             bar.n = min(steps, config.steps)
             text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
@@ -390,7 +392,7 @@ def train_apart(
     executor: Any, configs: Sequence[TrainConfig], out: str | pathlib.Path, resume: bool = False
 ) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers, with one progress bar; returns their folders. As
-    `train`, but that Ctrl-C leaves the checkpoints that came last, at most some minutes old."""
+    `train`, but Ctrl-C leaves the last checkpoints that arrived, at most some minutes old."""
     carried, done = Carried(), {}
     for config in configs:
         carried += carried_task(config.setting) + carried_code(config.algo)
@@ -417,7 +419,7 @@ def train_apart(
 
 
 def _train_here(configs, out, show):
-    """The `train` of a Group (macid.learning.jobs)."""
+    """The function `train` of a Group (macid.learning.jobs)."""
 
     def tell(steps, figures, validation=False):
         show(steps, figures, validation)
@@ -427,7 +429,7 @@ def _train_here(configs, out, show):
 
 
 def _expert(config):
-    """The factory of BC's expert. Raises UsageError where it was trained in another setting than `config`'s."""
+    """The factory of BC's expert. Raises UsageError where the expert was trained in a setting other than `config`'s."""
     expert = learned.load(config.hyperparameters.expert)
     try:
         expert(Setting.of(config.setting, _TRACK))

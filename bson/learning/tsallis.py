@@ -1,4 +1,5 @@
-"""Tsallis actor-critic (Lee et al. 2020): soft actor-critic with the Tsallis entropy. Only what sets it apart.
+"""Tsallis actor-critic (Lee et al. 2020): soft actor-critic with the Tsallis entropy. Only the differences from SAC are
+here.
 
 SAC's targets and losses hold log pi(a|s) = sum over the action's dimensions of ln pi(a_d|s). TAC holds ln_q in place of
 ln; at q = 1 the two are the same. All else is stable-baselines3's SAC.
@@ -10,7 +11,7 @@ import torch
 from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
-_EPSILON = 1e-6  # as stable-baselines3's squashed Gaussian
+_EPSILON = 1e-6  # the same as in stable-baselines3's squashed Gaussian
 
 
 def log_q(log_x: torch.Tensor, q: float) -> torch.Tensor:
@@ -28,9 +29,9 @@ class TsallisActor(Actor):
         """Actions (N, 2) drawn for `obs` (N, features), and their ln_q pi (N,)."""
         mean, log_std, _ = self.get_action_dist_params(obs)
         drawn = self.action_dist
-        assert isinstance(drawn, SquashedDiagGaussianDistribution)  # as without state-dependent noise
+        assert isinstance(drawn, SquashedDiagGaussianDistribution)  # the distribution without state-dependent noise
         action = drawn.actions_from_params(mean, log_std)
-        assert drawn.gaussian_actions is not None  # of the action that was just drawn
+        assert drawn.gaussian_actions is not None  # kept when the action was drawn
         gaussian = drawn.distribution.log_prob(drawn.gaussian_actions)
         log_density = gaussian - torch.log(1.0 - action**2 + _EPSILON)
         if self.joint:
@@ -42,7 +43,7 @@ class TsallisPolicy(SACPolicy):
     """SAC's networks with a TsallisActor of the entropic index `q`."""
 
     def __init__(self, *args: Any, q: float = 1.2, joint: bool = False, **kwargs: Any):
-        self._q, self._joint = q, joint  # before the networks are built
+        self._q, self._joint = q, joint  # before SACPolicy builds the networks
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> TsallisActor:

@@ -1,4 +1,4 @@
-"""BSON's vector environment as stable-baselines3 wants it: with all that is observed, or with features of it."""
+"""BSON's vector environment for stable-baselines3: with the whole observation, or with features of it."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from bson.simulation.world import World
 
 
 class _Worlds(VecEnv):
-    """What both have: worlds of one configuration, which are no objects of their own."""
+    """The base of both environments: worlds of one configuration, which are not objects of their own."""
 
     _env: BsonVectorEnv | gymnasium.vector.VectorEnv
     _actions = None
@@ -24,7 +24,7 @@ class _Worlds(VecEnv):
         self._actions = actions
 
     def close(self):
-        """Frees all that it holds; closing twice does no harm."""
+        """Frees all resources; closing twice does no harm."""
         self._env.close()
 
     def get_attr(self, attr_name, indices=None):
@@ -36,7 +36,7 @@ class _Worlds(VecEnv):
         raise NotImplementedError(f"The worlds share one configuration: make another {type(self).__name__}.")
 
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
-        """Not possible: the worlds are no objects of their own."""
+        """Not possible: the worlds are not objects of their own."""
         raise NotImplementedError("The worlds of a batch have no methods of their own.")
 
     def env_is_wrapped(self, wrapper_class, indices=None):
@@ -45,15 +45,16 @@ class _Worlds(VecEnv):
 
 
 class WorldsVecEnv(_Worlds):
-    """What `gymnasium.make_vec` gives, for stable-baselines3, which takes no Gymnasium vector environment:
+    """A vector environment of `gymnasium.make_vec` for stable-baselines3, which takes none of Gymnasium's:
 
         env = WorldsVecEnv(gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=8))
         PPO("MultiInputPolicy", env).learn(100_000)
 
     Observations are the dicts of all worlds. A world whose episode ended begins its next in the same step, in each of
     Gymnasium's autoreset modes; its info has `terminal_observation`, `TimeLimit.truncated` and `episode` (return r,
-    length l). Infos have what BsonEnv's have. `seed(s)` is of the next reset; `set_options` takes TaskConfig's fields
-    for it, the same for all worlds. Raises ValueError for an environment that is not BSON's.
+    length l). Infos have the keys of BsonEnv's `info`. `seed(s)` sets the seed of the next reset; `set_options` takes
+    TaskConfig's fields for the next reset, the same for all worlds. Raises ValueError for an environment that is not
+    BSON's.
     """
 
     def __init__(self, env: gymnasium.vector.VectorEnv):
@@ -66,11 +67,11 @@ class WorldsVecEnv(_Worlds):
 
     @property
     def world(self) -> World:
-        """The World of all, for whoever needs more than the observation."""
+        """The World of all worlds, for callers that need more than the observation."""
         return self._worlds.world
 
     def reset(self) -> Any:
-        """Begins an episode in every world; their observations."""
+        """Begins an episode in every world; returns their observations."""
         options = self._options[0]
         if any(other != options for other in self._options):
             raise ValueError("The worlds share one configuration: give one set of options for all.")
@@ -83,7 +84,7 @@ class WorldsVecEnv(_Worlds):
         return observation
 
     def step_wait(self) -> Any:
-        """A control step: observations, rewards (num_envs,), dones, infos."""
+        """One control step; returns observations, rewards (num_envs,), dones, infos."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         self._returns += reward
         self._lengths += 1
@@ -113,7 +114,7 @@ class WorldsVecEnv(_Worlds):
         return observation, reward.astype(np.float32), done, infos
 
     def _infos(self, info):
-        """One dict a world, of a vector environment's."""
+        """A vector environment's `info` as one dict for each world."""
         names = [name for name in info if f"_{name}" in info and not name.startswith("final_")]
         return [{name: info[name][index] for name in names} for index in range(self.num_envs)]
 
@@ -135,17 +136,18 @@ class FeatureVecEnv(_Worlds):
 
     @property
     def world(self) -> World:
-        """The World of all, for whoever measures it."""
+        """The World of all worlds, for callers that measure it."""
         return self._worlds.world
 
     def reset(self) -> np.ndarray:
-        """Begins an episode in every world; features (num_envs, FEATURES)."""
+        """Begins an episode in every world; returns features (num_envs, FEATURES)."""
         observation, _ = self._env.reset()
         self._returns[:] = 0.0
         return self._features.begin(self._all, observation)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """A control step: features, rewards (num_envs,), dones, infos. Worlds whose episodes ended begin their next."""
+        """One control step; returns features, rewards (num_envs,), dones, infos. Worlds whose episodes ended begin
+        their next."""
         observation, reward, terminated, truncated, info = self._env.step(self._actions)
         features = self._features.step(self._all, observation)
         self._returns += reward

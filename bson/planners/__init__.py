@@ -1,7 +1,7 @@
 """Path planners on an occupancy grid with pedestrians as costs, and a follower, for the robot's Global track.
 
-Points and paths are in the world frame [m]. A path's cost is the integral of `1 + cost` along it [m]: its length, and
-what it costs people. Cost maps are constant within a cell, so lines are checked and integrated cell by cell, exactly.
+Points and paths are in the world frame [m]. A path's cost is the integral of `1 + cost` along it [m]: its length, plus
+its cost to people. Cost maps are constant within a cell, so lines are checked and integrated cell by cell, exactly.
 
 `plan` runs every planner:
 

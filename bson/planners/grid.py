@@ -1,4 +1,4 @@
-"""An occupancy grid, and what a way over it costs."""
+"""An occupancy grid, and the cost of a way over it."""
 
 import functools
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from scipy import ndimage
 from macid import routing
 from macid.layout import Layout
 
-_TOUCH = 1e-9  # how close to a line between cells is on it [cells]
+_TOUCH = 1e-9  # a point this close to a line between cells is on the line [cells]
 
 
 class NoPath(ValueError):
@@ -22,8 +22,8 @@ class Grid:
     """An occupancy grid (ROS's convention): cell (i, j) is centred at `origin + resolution * (j + 1/2, i + 1/2)`.
 
     occupied: (rows, columns) bool. resolution: side of a cell [m]. origin: (2,), the outer corner of cell (0, 0), world
-    frame [m]. Occupied cells are closed squares: who touches one is in it; so is who touches the map's edge.
-    Raises ValueError for anything else.
+    frame [m]. Occupied cells are closed squares: a point that touches one, or the map's edge, is not free. Raises
+    ValueError for arguments of other forms.
     """
 
     occupied: np.ndarray
@@ -77,7 +77,7 @@ class Grid:
     @functools.cached_property
     def clearance(self) -> np.ndarray:
         """Distance (rows, columns) [m] from each cell's centre to the nearest occupied cell or the map's edge."""
-        # The point of an occupied square that is nearest to another cell's centre is one of those that _closed marks.
+        # Of the points of an occupied square the nearest to another cell's centre is one of those that _closed marks.
         return (np.asarray(ndimage.distance_transform_edt(~self._closed)) * (self.resolution / 2))[1::2, 1::2]
 
     def inflated(self, radius: float) -> "Grid":
@@ -88,7 +88,8 @@ class Grid:
         return Grid(self.occupied | (self.clearance <= radius), self.resolution, self.origin)
 
     def nearest_free(self, point: Any) -> np.ndarray:
-        """The centre (2,) [m] of the free cell nearest to `point` (2,) [m]; a free point is its own. Raises NoPath."""
+        """The centre (2,) [m] of the free cell nearest to `point` (2,) [m]; for a free point the point itself. Raises
+        NoPath."""
         if self.free(point):
             return np.asarray(point, dtype=float)
         cells = np.argwhere(~self.occupied)
@@ -100,19 +101,21 @@ class Grid:
     @functools.cached_property
     def regions(self) -> np.ndarray:
         """Numbers (rows, columns) of the connected parts of free space; 0: occupied."""
-        # By sides: a diagonal that cuts no corner has a way around by sides.
+        # Connected by sides is enough: a diagonal that cuts no corner has a way around by sides.
         regions = np.zeros(self.shape, np.int32)
         ndimage.label(~self.occupied, output=regions)
         return regions
 
     @functools.cached_property
     def moves(self) -> Any:
-        """What `macid.routing.grid_graph` has of the grid: the free cells' numbers and the graph of moves [cells]."""
+        """The result of `macid.routing.grid_graph` for this grid: the free cells' numbers and the graph of moves
+        [cells]."""
         return routing.grid_graph(self.occupied)
 
     @functools.cached_property
     def _closed(self):
-        """What is occupied (2 rows + 1, 2 columns + 1): cells at odd indices, the lines and points around them at even.
+        """Whether each cell, line and corner is occupied (2 rows + 1, 2 columns + 1): cells have odd indices, the lines
+        and corners around them even ones.
 
         The map's outermost lines are occupied.
         """
@@ -151,20 +154,20 @@ def line_costs(grid: Grid, rate: np.ndarray | None, starts: np.ndarray, ends: np
     starts = np.broadcast_to(starts, step.shape)
     first = np.ceil(np.minimum(starts, ends))
     count = int((np.floor(np.maximum(starts, ends)) - first).max()) + 1
-    lines = first[:, None] + np.arange(count)[:, None]  # between cells, that each segment may cross: (M, count, 2)
+    lines = first[:, None] + np.arange(count)[:, None]  # lines between cells that each segment may cross: (M, count, 2)
     across = np.where(np.abs(step) < 1e-12, 1e-12, step)
     crossed = (lines - starts[:, None]) / across[:, None]
-    parts = np.zeros((len(step), 2 * count + 2))  # of each segment's length, where it crosses
+    parts = np.zeros((len(step), 2 * count + 2))  # shares of each segment's length at which it crosses lines
     parts[:, 1] = 1.0
     parts[:, 2:] = np.clip(crossed, 0.0, 1.0).reshape(len(step), -1)
-    # Whatever cell a segment enters, it touches where it crosses a line or ends.
+    # A segment touches every cell that it enters where it crosses a line or ends.
     blocked = grid._touches(starts[:, None] + parts[..., None] * step[:, None]).any(axis=1)
     costs = np.hypot(step[:, 0], step[:, 1])
     if rate is not None:
         parts.sort(axis=1)
         middles = starts[:, None] + (0.5 * (parts[:, 1:] + parts[:, :-1]))[..., None] * step[:, None]
         rows, columns = rate.shape
-        cells = np.clip(middles, 0, (columns - 1, rows - 1)).astype(np.intp)  # which floors, as nothing is below 0
+        cells = np.clip(middles, 0, (columns - 1, rows - 1)).astype(np.intp)  # astype floors, as nothing is below 0
         costs *= (np.diff(parts, axis=1) * rate.ravel()[cells[..., 1] * columns + cells[..., 0]]).sum(axis=1)
     costs[blocked] = np.inf
     return costs
@@ -173,14 +176,14 @@ def line_costs(grid: Grid, rate: np.ndarray | None, starts: np.ndarray, ends: np
 def path_cost(path: np.ndarray, grid: Grid, cost: np.ndarray | None = None) -> float:
     """Integral [m] of `1 + cost` along `path` (N, 2) [m]: its length where cost is None; infinite where it is blocked.
 
-    cost: (rows, columns), at least 0. Raises ValueError for another.
+    cost: (rows, columns), at least 0. Raises ValueError for any other cost.
     """
     path = grid.scaled(path)
     return float(line_costs(grid, cost_rate(grid, cost), path[:-1], path[1:]).sum() * grid.resolution)
 
 
 def cost_rate(grid: Grid, cost: np.ndarray | None) -> np.ndarray | None:
-    """1 + cost, or None for None. Raises ValueError for what is no cost map of the grid."""
+    """1 + cost, or None for None. Raises ValueError for anything but a cost map of the grid."""
     if cost is None:
         return None
     cost = np.asarray(cost, dtype=float)

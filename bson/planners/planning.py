@@ -17,7 +17,7 @@ def _tree(kind):
 
 
 def _own(found, name):
-    """Somebody's own planner, `planner(grid, rate, start, goal, rng, config, known) -> (N, 2)` in cells, and its
+    """The user's own planner, `planner(grid, rate, start, goal, rng, config, known) -> (N, 2)` in cells, and its
     Config."""
     if not callable(found):
         raise UsageError(
@@ -39,7 +39,7 @@ _PLANNERS = {
     "carrt-star": (_tree(CarrtStar), CarrtStarConfig),
 }
 PLANNERS = tuple(_PLANNERS)
-#: (planner, the class of its configuration or None) of a name
+#: a name stands for (planner, the class of its configuration or None)
 KIND: Kind[tuple[Callable, type | None]] = Kind("planner", _PLANNERS, own="function", check=_own)
 
 
@@ -55,13 +55,13 @@ def plan(
 ) -> np.ndarray:
     """A path (N, 2) [m] from `start` (2,) to `goal` (2,) [m], both included, that touches no occupied cell of `grid`.
 
-    name: one of PLANNERS, or one's own, `module:function` or `file.py:function` (see _own). cost: (rows, columns), at
-    least 0, as of `social_cost`. rng: what the trees draw from, a numpy Generator or a seed; None: seed 0. config: the
-    planner's own (AStarConfig, ...); None: its defaults. known: a path (N, 2) [m] that the trees begin with, as far as
-    it is free, such as what is left of the last one (anytime RRT*: Karaman et al., ICRA 2011). Then RRT returns it, and
-    the others are no worse than it if it leads to the goal. Raises NoPath where there is none or none was found, and
-    ValueError where start or goal is off the map or in an obstacle (`Grid.nearest_free` helps) and for what is no
-    planner, cost map, config or path.
+    name: one of PLANNERS, or the user's own planner, `module:function` or `file.py:function` (see _own). cost: (rows,
+    columns), at least 0, as of `social_cost`. rng: the random numbers of the trees, a numpy Generator or a seed; None:
+    seed 0. config: the planner's own (AStarConfig, ...); None: its defaults. known: a path (N, 2) [m] that the trees
+    begin with, as far as it is free, such as the rest of the last path (anytime RRT*: Karaman et al., ICRA 2011). If
+    the known path leads to the goal, RRT returns it, and the other trees return no worse path. Raises NoPath where
+    there is no path or none was found. Raises ValueError where start or goal is off the map or in an obstacle
+    (`Grid.nearest_free` helps), and for a faulty planner, cost map, config or path.
     """
     planner, kind = KIND.load(name)
     config = kind() if config is None and kind is not None else config
@@ -91,13 +91,14 @@ def plan(
             raise ValueError(f"A known path is (N, 2) finite numbers [m], not of shape {known.shape}.")
         known = grid.scaled(known)
     path = grid.unscaled(planner(grid, rate, *scaled, rng, config, known))
-    path[0], path[-1] = ends  # without the rounding
+    path[0], path[-1] = ends  # the exact ends, without rounding
     return path
 
 
 def shortcut(path: Any, grid: Grid, cost: Any = None) -> np.ndarray:
-    """`path` (N, 2) [m] with straight lines for its detours: from each point on to the farthest one that can be reached
-    straight, without touching an occupied cell and at no higher cost. Returns (M, 2), M <= N, cost as in `plan`.
+    """`path` (N, 2) [m] with straight lines in place of its detours: each point is joined to the farthest point that
+    can be reached straight, without touching an occupied cell and at no higher cost. Returns (M, 2), M <= N, cost as in
+    `plan`.
 
     Raises ValueError where the path itself is blocked.
     """

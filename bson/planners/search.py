@@ -12,7 +12,7 @@ from bson.planners.grid import Grid
 from macid.routing import shortest
 
 _TIE = 1e-9  # ways whose costs differ by less than this share are equal
-_DETOUR = 1.3  # a way is first looked for at up to this times the bee line's length
+_DETOUR = 1.3  # a way is first looked for among those up to this times the straight line's length
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class DijkstraConfig:
 
 @dataclass(frozen=True)
 class AStarConfig(DijkstraConfig):
-    """A*: the heuristic is the octile distance times `weight`. Up to 1 the path's cost is least, above at most `weight`
-    times that, and found faster."""
+    """A*: the heuristic is the octile distance times `weight`. With a weight up to 1 the path's cost is the least;
+    above 1 it is at most `weight` times the least, and found faster."""
 
     weight: float = 1.0
 
@@ -35,7 +35,8 @@ class AStarConfig(DijkstraConfig):
 def dijkstra(
     grid: Grid, rate: np.ndarray | None, start: np.ndarray, goal: np.ndarray, rng: Any, config: Any, known: Any
 ) -> np.ndarray:
-    """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. The others have no effect."""
+    """The path (N, 2) of least cost; points in cells, rate (rows, columns) or None. The other arguments have no
+    effect."""
     return _search(grid, rate, start, goal, 0.0)
 
 
@@ -47,10 +48,12 @@ def astar(
 
 
 def _search(grid, rate, start, goal, weight):
-    """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for those of theirs.
+    """The path (N, 2) of least cost over the centres of cells, in cells; start and goal stand for the centres of their
+    cells.
 
-    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: of the heuristic,
-    the octile distance, which chooses among ways of equal cost; above 1 it also bends the search.
+    A step to one of eight neighbours costs its length times the mean of both cells' rates. weight: factor on the
+    heuristic, the octile distance. Up to 1 the heuristic only chooses among ways of equal cost; above 1 it also bends
+    the search.
     """
     number, moves = grid.moves
     rows, columns = np.nonzero(~grid.occupied)
@@ -59,7 +62,7 @@ def _search(grid, rate, start, goal, weight):
     dx, dy = np.abs(columns - np.floor(goal[0])), np.abs(rows - np.floor(goal[1]))
     octile = np.maximum(dx, dy) + (math.sqrt(2.0) - 1.0) * np.minimum(dx, dy)
     to_look_at = np.ones(len(octile), bool)
-    if weight <= 1:  # then the least cost is found, and only cells on ways of that cost matter
+    if weight <= 1:  # then the search finds the least cost, and only cells on ways of that cost matter
         there, _ = shortest(graph, first, last, _DETOUR * octile[first])
         least = (1 + _TIE) * there[last]
         back, _ = shortest(graph, last, first, least)
@@ -72,7 +75,7 @@ def _search(grid, rate, start, goal, weight):
 
 
 def _priced(moves, rate):
-    """The graph of what `moves` between cells cost that have each its `rate` (N,)."""
+    """The graph of the costs of `moves` between cells with the rates `rate` (N,)."""
     half = 0.5 * rate
     costs = moves.data * (half.repeat(np.diff(moves.indptr)) + half[moves.indices])
     return sparse.csr_matrix((costs, moves.indices, moves.indptr), shape=moves.shape)
@@ -81,7 +84,7 @@ def _priced(moves, rate):
 def _way(graph, first, last, heuristic, to_look_at):
     """The nodes from `first` to `last` that A* finds over a sparse `graph` (N, N), with its `heuristic` (N,).
 
-    to_look_at: (N,) bool, whether a node is looked at. Of equal nodes that of the least number comes first.
+    to_look_at: (N,) bool, whether a node is looked at. Of equal nodes the one with the least number comes first.
     """
     heuristic, still_open = heuristic.tolist(), to_look_at.tolist()
     ends, neighbours, costs = graph.indptr, graph.indices, graph.data

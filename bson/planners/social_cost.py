@@ -1,4 +1,4 @@
-"""What being near people costs on an occupancy grid."""
+"""The cost of being near people, on an occupancy grid."""
 
 import math
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from bson.planners.grid import Grid
 
 @dataclass(frozen=True)
 class SocialCostConfig:
-    """What being near a person costs."""
+    """The cost of being near a person."""
 
-    weight: float = 10.0  # at the person's place, per metre of way
-    sigma: float = 0.6  # to the sides, behind, and all around who stands [m]
-    stretch: float = 1.0  # by which sigma grows ahead, per speed [s]
+    weight: float = 10.0  # cost at the person's place, per metre of way
+    sigma: float = 0.6  # to the sides, behind, and all around a standing person [m]
+    stretch: float = 1.0  # growth of sigma ahead, per speed [s]
 
     def __post_init__(self):
         if not (self.weight >= 0 and self.sigma > 0 and self.stretch >= 0):

@@ -14,7 +14,7 @@ class RrtConfig:
     """RRT: at most `samples` samples, the goal itself with probability `goal_bias` until it is reached."""
 
     samples: int = 10000
-    step: float = 2.0  # the longest extension, and from how far the goal is reached [m]
+    step: float = 2.0  # the longest extension; the goal is reached from within this distance [m]
     goal_bias: float = 0.05
 
     def __post_init__(self):
@@ -28,7 +28,7 @@ class RrtConfig:
 
 @dataclass(frozen=True)
 class RrtStarConfig(RrtConfig):
-    """RRT*: a path that was found is improved until `enough` samples were drawn; more never make it worse.
+    """RRT*: a path that was found is improved until `enough` samples were drawn; more samples never make it worse.
 
     Among n nodes, neighbours are within `radius_factor` times Karaman and Frazzoli's least radius for optimality,
     `(6 A / pi)^(1/2) (log n / n)^(1/2)` on a free area A, and at most within `max_radius` [m].
@@ -42,9 +42,9 @@ class RrtStarConfig(RrtConfig):
 @dataclass(frozen=True)
 class CarrtStarConfig(RrtStarConfig):
     """CARRT*: RRT* whose extensions (turn from the sample's direction, length) are drawn from a Gaussian, refitted
-    `iterations` times to the `elites` best of `candidates`.
+    `iterations` times to the `elites` best of `candidates` draws.
 
-    The best have the least accumulated cost plus `distance_weight` times the distance that is left to the sample.
+    The best have the least accumulated cost plus `distance_weight` times the remaining distance to the sample.
     """
 
     candidates: int = 12
@@ -52,7 +52,7 @@ class CarrtStarConfig(RrtStarConfig):
     iterations: int = 2
     turn: float = 0.6  # first standard deviation of the turn [rad]
     least_length: float = 0.5  # of an extension, as a share of the straight one: near people the shortest is cheapest
-    distance_weight: float = 2.0  # above 1: what is left will cost something too
+    distance_weight: float = 2.0  # above 1, as the remaining distance will cost people something too
 
     def __post_init__(self):
         super().__post_init__()
@@ -98,7 +98,7 @@ class Rrt:
     def branch(self, start: np.ndarray, path: np.ndarray) -> np.ndarray:
         """Points (M, 2) from `start` (2,), left out, along `path` (N, 2) at most `step` apart, without the goal."""
         corners = np.vstack([start, path])
-        parts = np.ceil(np.hypot(*np.diff(corners, axis=0).T) / self.step).astype(int)  # 0 of a leg without length
+        parts = np.ceil(np.hypot(*np.diff(corners, axis=0).T) / self.step).astype(int)  # 0 for a leg without length
         legs = [
             a + (b - a) * np.arange(1, n + 1)[:, None] / n
             for a, b, n in zip(corners[:-1], corners[1:], parts, strict=True)
@@ -138,7 +138,7 @@ class Rrt:
         return self.free[int(which * len(self.free))] + offset
 
     def squared_distances(self, point: np.ndarray) -> np.ndarray:
-        """From each node (n,) to `point` (2,)."""
+        """Squared distances (n,) from each node to `point` (2,)."""
         offset = self.points[: len(self.parents)] - point
         return np.einsum("ni,ni->n", offset, offset)
 
@@ -152,18 +152,18 @@ class Rrt:
         return math.atan2(y, x), min(self.step, math.hypot(x, y))
 
     def extend(self, nearest: int, sample: np.ndarray) -> tuple[np.ndarray, float] | None:
-        """The end (2,) and the cost of an edge from node `nearest` towards `sample` (2,); None: it is blocked."""
+        """The end (2,) and the cost of an edge from node `nearest` towards `sample` (2,); None where it is blocked."""
         angle, length = self.straight(nearest, sample)
         end = self.points[nearest] + _polar(np.array([angle]), length)
         cost = self.line_costs(self.points[nearest], end)[0]
         return (end[0], cost) if 0 < cost < np.inf else None
 
     def join(self, nearest: int, point: np.ndarray, cost: float) -> None:
-        """Adds the node `point` (2,) to which an edge of `cost` leads from node `nearest`."""
+        """Adds the node `point` (2,), with an edge of `cost` from node `nearest`."""
         self.add(point, nearest, cost)
 
     def add(self, point: np.ndarray, parent: int | None, cost: float) -> int:
-        """Adds the node `point` (2,) below node `parent`, by an edge of `cost`; its number."""
+        """Adds the node `point` (2,) below node `parent`, with an edge of `cost`; returns its number."""
         node = len(self.parents)
         self.points[node] = point
         self.parents.append(parent)
@@ -179,33 +179,35 @@ class Rrt:
 
 
 class RrtStar(Rrt):
-    """RRT, but a new node takes the parent that makes it cheapest, and becomes the parent of whom it makes cheaper."""
+    """RRT, but a new node takes the parent that makes it cheapest, and becomes the parent of nodes that it makes
+    cheaper."""
 
     def enough(self) -> int:
-        """As Rrt.enough: its configuration's."""
+        """As Rrt.enough: the configuration's `enough`."""
         return self.config.enough
 
     def join(self, nearest: int, point: np.ndarray, cost: float) -> None:
-        """Adds the node `point` (2,) below the node near it that makes it cheapest; `nearest` is one, `cost` away."""
+        """Adds the node `point` (2,) below the node near it that makes it cheapest; `nearest` is one of these nodes, at
+        `cost`."""
         is_near = self.squared_distances(point) <= self.radius() ** 2
         is_near[nearest] = True
         near = np.flatnonzero(is_near)
-        costs = self.line_costs(point, self.points[near])  # the same in both directions
-        costs[near == nearest] = cost  # where rounding says that it touches something on the way back
+        costs = self.line_costs(point, self.points[near])  # a line costs the same in both directions
+        costs[near == nearest] = cost  # here rounding may say that the line back touches something
         through = self.costs[near] + costs
         best = int(through.argmin())
         node = self.add(point, int(near[best]), costs[best])
         cheaper = self.costs[node] + costs < self.costs[near] - 1e-9
         for other, edge in zip(near[cheaper].tolist(), costs[cheaper], strict=True):
             change = self.costs[node] + edge - self.costs[other]
-            if change < 0:  # still: those before may have made it cheaper
+            if change < 0:  # still cheaper: a node before may have made it cheaper already
                 self.children[self.parents[other]].remove(other)
                 self.parents[other] = node
                 self.children[node].append(other)
                 self.lower(other, change)
 
     def radius(self) -> float:
-        """Karaman and Frazzoli's, for the nodes that there are, in cells."""
+        """Karaman and Frazzoli's radius for the present number of nodes, in cells."""
         count, config = len(self.parents) + 1, self.config
         least = math.sqrt(6.0 * len(self.free) / math.pi * math.log(count) / count)
         return min(config.radius_factor * least, config.max_radius / self.grid.resolution)
@@ -231,11 +233,11 @@ class CarrtStar(RrtStar):
         config: Any,
         known: np.ndarray | None = None,
     ):
-        self.noise = rng.spawn(1)[0]  # leaves the samples as RRT*'s
+        self.noise = rng.spawn(1)[0]  # a stream of its own leaves the samples equal to RRT*'s
         super().__init__(grid, rate, start, goal, rng, config, known)
 
     def extend(self, nearest: int, sample: np.ndarray) -> tuple[np.ndarray, float] | None:
-        """As Rrt.extend, of the extensions that are drawn the best."""
+        """As Rrt.extend, with the best of the drawn extensions."""
         config, start = self.config, self.points[nearest]
         angle, length = self.straight(nearest, sample)
         if length == 0:

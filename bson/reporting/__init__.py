@@ -1,1 +1,1 @@
-"""What people look at: pages, tables, films."""
+"""Results for people to look at: pages and tables."""

@@ -1,6 +1,6 @@
 """Several results of `bson evaluate` beside each other, with paired differences: a table, compare.json, compare.html.
 
-Episodes are paired by cell and seed: there the robots met the same people on the same map.
+Episodes are paired by cell and seed: in such a pair the robots met the same people on the same map.
 """
 
 import json
@@ -19,11 +19,11 @@ MAIN = (
     "time_to_collision",
 )  # fmt: skip
 BY_CELL = ("SNS", "success", "Coll")
-LEAST_PAIRS = 6  # with fewer, differences that all have one sign come by chance in more than 5%
+LEAST_PAIRS = 6  # with fewer pairs, differences that all have one sign come by chance in more than 5% of cases
 
 
 def check_comparable(runs: Sequence[Results]) -> None:
-    """Raises ValueError, naming the difference, unless all `runs` are of one suite in one version and setting.
+    """Raises ValueError, naming the difference, unless all `runs` have the same suite, in the same version and setting.
 
     runs: bson.evaluation.results.Results.
     """
@@ -58,7 +58,7 @@ def _setting(value):
 
 
 def labels(runs: Sequence[Results]) -> list[str]:
-    """A name for each run: its agent, with the source where the agent alone doesn't tell them apart."""
+    """A name for each run: its agent, with the source where two runs have the same agent."""
     agents = [run.content["agent"] for run in runs]
     return [
         agent if agents.count(agent) == 1 else f"{agent} ({run.source})"
@@ -67,7 +67,8 @@ def labels(runs: Sequence[Results]) -> list[str]:
 
 
 def _shared(runs):
-    """(cell, seed) of the episodes that all runs have, in the first one's order. Raises ValueError if there is none."""
+    """(cell, seed) of the episodes that all runs have, in the first run's order. Raises ValueError if there is no such
+    episode."""
     rows = [run.rows for run in runs]
     shared = [key for key in rows[0] if all(key in others for others in rows)]
     if not shared:
@@ -90,7 +91,7 @@ def differences(measured: list[dict[str, float]], reference: list[dict[str, floa
     """Mean paired differences `measured` - `reference`, dicts of `measure` of the same episodes, with 95% intervals.
 
     {metric: {"mean", "low", "high", "count", "differs"}}. count: pairs in which both are finite; differs: whether the
-    interval excludes 0, and comes of at least LEAST_PAIRS pairs.
+    interval excludes 0, and there are at least LEAST_PAIRS pairs.
     """
     pairs = zip(measured, reference, strict=True)
     found = summarise([{name: ours[name] - theirs[name] for name in ours} for ours, theirs in pairs])
@@ -100,7 +101,8 @@ def differences(measured: list[dict[str, float]], reference: list[dict[str, floa
 
 
 def _side_by_side(runs, keys, names):
-    """For each run the summary over the episodes `keys`, and its differences from the first; None for the first."""
+    """For each run the summary over the episodes `keys`, and its differences from the first run; None for the first
+    run."""
     measured = [_measured(run, keys, names) for run in runs]
     return [
         {"summary": summarise(rows), "difference": differences(rows, measured[0]) if place else None}
@@ -109,7 +111,7 @@ def _side_by_side(runs, keys, names):
 
 
 def _notes(runs, names, keys):
-    """What a reader must know."""
+    """Warnings that a reader must know."""
     notes = []
     if any(len(run.rows) > len(keys) for run in runs):
         had = ", ".join(f"{name} has {len(run.rows)}" for name, run in zip(names, runs, strict=True))
@@ -127,7 +129,8 @@ def _notes(runs, names, keys):
 
 
 def compare(runs: Sequence[Results]) -> dict[str, Any]:
-    """The content of compare.json: each run's summary over the episodes that all have, and differences from the first.
+    """The content of compare.json: each run's summary over the episodes that all runs have, and its differences from
+    the first run.
 
     Raises ValueError where the runs are of different suites, versions of a suite or settings, or share no episode.
     """
@@ -167,12 +170,12 @@ def compare(runs: Sequence[Results]) -> dict[str, Any]:
             for name, run, side in zip(names, runs, _side_by_side(runs, keys, metrics), strict=True)
         ],
         "cells": cells,
-        **({"metrics": own} if own else {}),  # what the user's own are
+        **({"metrics": own} if own else {}),  # units and meanings of the user's own metrics
     }
 
 
 def _text(row, signed=False):
-    """A row of `summarise` or `differences`: mean and interval, and a star where it differs."""
+    """A row of `summarise` or `differences`: mean and interval as text, with a star where it differs."""
     if row is None:
         return "-"
     star = " *" if row.get("differs") else ""
@@ -218,8 +221,8 @@ def format_comparison(content: dict[str, Any]) -> str:
 
 
 def _side(side, metric, better):
-    """What the page shows of `metric` of one run, a `side` as of `_side_by_side`: the mean with its interval, and the
-    difference from the first run, with the CSS class of a better or worse one."""
+    """The page's text for `metric` of one run, whose `side` is from `_side_by_side`: the mean with its interval, and
+    the difference from the first run, with the CSS class of a better or worse one."""
     row, compared = side["summary"].get(metric), side["difference"] is not None
     shown = {"value": None if row is None else numbers(row["mean"], row["low"], row["high"]), "compared": compared}
     if compared:
@@ -231,7 +234,7 @@ def _side(side, metric, better):
 
 
 def _groups(runs, metrics):
-    """{group: rows (metric, its arrow, what is shown of each run)} of every metric but the minor ones."""
+    """{group: rows (metric, its arrow, the text for each run)} of every metric but the minor ones."""
     shown = [m for m in metrics if not m.minor and any(m.name in run["summary"] for run in runs)]
     return {
         group: [
@@ -265,7 +268,8 @@ def _overview(runs):
 
 
 def _sns_maps(content):
-    """The SNS over the suite's cells: of each run, then of the differences from the first; each as HTML."""
+    """The SNS over the suite's cells: one map for each run, then one for each difference from the first run; each as
+    HTML."""
     names, cells = [run["name"] for run in content["runs"]], content["cells"]
     maps = []
     for place, name in enumerate(names):
@@ -281,7 +285,7 @@ def _sns_maps(content):
 
 
 def _cells(content):
-    """Rows (cell, what is shown of each run): success and collisions beside the SNS."""
+    """Rows (cell, the text for each run): success and collisions beside the SNS."""
     better = {metric.name: metric.better for metric in METRICS}
     return [
         (cell["name"], [_side(side, metric, better[metric]) for metric in BY_CELL for side in cell["runs"]])
@@ -290,7 +294,7 @@ def _cells(content):
 
 
 def make_page(content: dict[str, Any]) -> str:
-    """compare.html as text, of the `content` of compare.json."""
+    """The page compare.html as text. content: the content of compare.json."""
     runs, cells = content["runs"], content["cells"]
     documents = {
         f"Configuration {'of the first cell' if cells else 'of the episodes'}": content["config"],

@@ -15,7 +15,7 @@ _WORSE, _MIDDLE, _BETTER = np.array([[188, 74, 48], [250, 240, 215], [22, 108, 1
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """Of a metric: its ends, which way is better ("up" or "down"), and whether it is log(1 + value)."""
+    """A metric's scale: its ends, which way is better ("up" or "down"), and whether it is log(1 + value)."""
 
     low: float
     high: float
@@ -23,7 +23,7 @@ class Scale:
     logarithmic: bool = False
 
     def place(self, value: float) -> float:
-        """In [0, 1] from the low end to the high one."""
+        """The place of `value`, from 0 at the low end to 1 at the high one."""
         low, high, value = (
             math.log1p(x) if self.logarithmic else x for x in (self.low, self.high, max(value, self.low))
         )
@@ -36,7 +36,8 @@ class Scale:
         return self.low * (1 - place) + self.high * place
 
     def colours(self, value: float) -> str:
-        """CSS of a background, warm where it is worse and teal where it is better, and of text that is read on it."""
+        """CSS for `value`: a background, warm where it is worse and teal where it is better, and a text colour that is
+        readable on it."""
         goodness = self.place(value) if self.better == "up" else 1.0 - self.place(value)
         end = _BETTER if goodness > 0.5 else _WORSE
         rgb = _MIDDLE + (end - _MIDDLE) * abs(2 * goodness - 1)
@@ -46,7 +47,7 @@ class Scale:
 
 @dataclasses.dataclass(frozen=True)
 class Tile:
-    """What is drawn of one cell. grades: {axis: grade}; value: None where there is none; mark: a sign beside it."""
+    """One cell to draw. grades: {axis: grade}; value: None where the cell has none; mark: a sign beside the value."""
 
     grades: dict
     value: float | None
@@ -78,7 +79,7 @@ def _gradient(scale):
 
 
 def _box(tile, scale, digits):
-    """What a heat table shows of a tile; None where there is none."""
+    """A heat table's entry for a tile; None where there is no tile."""
     if tile is None or tile.value is None:
         return None
     value, interval = _shown(tile, scale, digits)
@@ -108,7 +109,7 @@ def _panels(tiles, scale, digits):
 
 
 def _line(tile, scale, digits):
-    """What a dot plot shows of a tile: a dot on the scale, and its interval."""
+    """A dot plot's line for a tile: a dot on the scale, and its interval."""
     name = ", ".join(tile.grades.values())
     if tile.value is None:
         return {"name": name, "value": None}
@@ -126,7 +127,7 @@ def _line(tile, scale, digits):
 
 
 def _dots(tiles, scale, digits):
-    """One line a cell."""
+    """A dot plot, one line for each cell."""
     zero = f"{100 * scale.place(0.0):.1f}" if scale.low < 0 < scale.high else None
     return {"panels": None, "lines": [_line(tile, scale, digits) for tile in tiles], "zero": zero}
 

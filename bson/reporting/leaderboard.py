@@ -12,7 +12,7 @@ from macid.files import UsageError, check_file, named, write_bytes
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- /leaderboard -->"
 _MOST_BYTES = 1 << 26  # of a README
-_COLUMNS = (  # after the SNS: metric, heading, how a mean is shown
+_COLUMNS = (  # after the SNS: metric, heading, format of a mean
     ("success", "success", "{:.0%}"),
     ("Coll", "Coll", "{:.1f}"),
     ("SP", "SP", "{:.3f}"),
@@ -28,7 +28,7 @@ def _played(run):
 
 
 def _check(runs):
-    """Raises ValueError unless all `runs` of a suite sat the same exam."""
+    """Raises ValueError unless all `runs` of a suite have the same version, setting and episodes."""
     check_comparable(runs)
     for run in runs[1:]:
         if _played(run) != _played(runs[0]):
@@ -39,12 +39,14 @@ def _check(runs):
 
 
 def _plain(text):
-    """`text` as Markdown that shows it as it is: the characters of HTML's and Markdown's own are written as numbers."""
+    """`text` as Markdown that shows it unchanged: characters with a meaning in HTML or Markdown are written as
+    numbers."""
     return "".join(f"&#{ord(c)};" if c in "<>&`|*_~[]\\" else c for c in text)
 
 
 def _code(text):
-    """`text` as code in Markdown, also where it has what would end the code, or one of the marks BEGIN and END."""
+    """`text` as code in Markdown, also where it has characters that would end the code, or one of the marks BEGIN and
+    END."""
     return f"<code>{_plain(text)}</code>" if "`" in text or "<" in text else f"`{text}`"
 
 
@@ -76,7 +78,7 @@ def _caption(run):
 
 
 def leaderboard(runs: Sequence[Results]) -> str:
-    """Markdown: a table for each suite of `runs`, the best SNS first, and what it is of.
+    """Markdown: a table for each suite of `runs`, the best SNS first, with a line on the suite.
 
     Raises ValueError where runs of one suite differ in its version, setting or episodes.
     """

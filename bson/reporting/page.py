@@ -1,6 +1,6 @@
-"""What the HTML pages are made of. A page is one file: pictures and films are in it, and it needs no other.
+"""The parts of the HTML pages. A page is one file: pictures and films are in it, and it needs no other file.
 
-What a template is given is text, which it escapes, but for what another template made.
+A template escapes the texts that it is given, but not the output of another template.
 """
 
 import base64
@@ -13,23 +13,24 @@ from markupsafe import Markup
 
 INK, ACCENT, BAD, GRID = "#1d2733", "#1f6f8b", "#c0392b", "#d9dfe5"
 DASH = Markup("&ndash;")  # where there is no value
-BETTER = {"up": Markup("&uarr;"), "down": Markup("&darr;"), "": ""}  # of a metric
+BETTER = {"up": Markup("&uarr;"), "down": Markup("&darr;"), "": ""}  # {a metric's `better`: its arrow}
 
 
 def numbers(*values: float, digits: int | None = None, signed: bool = False) -> list[str]:
-    """`values` as texts with the same number of decimals: `digits`, by default what shows three digits of the largest.
+    """`values` as texts with the same number of decimals: `digits`; by default as many as show three digits of the
+    largest value.
 
-    signed: a plus before what is above 0.
+    signed: with a plus before values above 0.
     """
     largest = max(map(abs, values))
     if digits is None:
         digits = 0 if largest == 0 else sum(largest < bound for bound in (99.95, 9.995, 0.9995))
-    rounded = [round(value, digits) + 0.0 for value in values]  # without -0
+    rounded = [round(value, digits) + 0.0 for value in values]  # + 0.0 turns -0 into 0
     return [f"{'+' if signed and value > 0 else ''}{value:.{digits}f}" for value in rounded]
 
 
 def plural(count: int, noun: str) -> str:
-    """Such as "1 episode", "27 episodes"."""
+    """A count with its noun, such as "1 episode", "27 episodes"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 

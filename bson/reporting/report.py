@@ -11,7 +11,7 @@ from bson.evaluation.metrics import GROUPS, metrics_of, spread_by_score
 from bson.reporting.heatmap import Scale, Tile, cell_maps
 from bson.reporting.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
 
-# (metric, heading, unit, decimals, what it is) of the cards and the tables of cells and episodes
+# (metric, heading, unit, decimals, meaning) of the cards and the tables of cells and episodes
 _SHOWN = (
     ("SNS", "SNS", "", 1, "the score, of 100"),
     ("RC", "Route completion", "", 3, "1 - d_f / d_i"),
@@ -46,7 +46,7 @@ def plot_distribution(values: Sequence[float | None], least: float) -> Any:
     known = np.array([value for value in values if value is not None])
     axes.spines[["top", "right"]].set_visible(False)
     locator = axes.yaxis.get_major_locator()
-    assert isinstance(locator, MaxNLocator)  # of a linear axis
+    assert isinstance(locator, MaxNLocator)  # the locator of a linear axis
     locator.set_params(integer=True)
     if not len(known):
         axes.text(0.5, 0.5, "no people", ha="center", va="center", transform=axes.transAxes)
@@ -118,7 +118,7 @@ def plot_score_over_lcf(episodes: Sequence[Episode]) -> Any:
 
 
 def _metric_row(content, metric):
-    """What a table shows of a metric."""
+    """A table's row for a metric."""
     row = {"metric": metric, "better": BETTER[metric.better] or DASH, "value": DASH, "interval": "", "few": ""}
     if metric.name in content["summary"]:
         low, high = content["intervals"][metric.name]
@@ -157,7 +157,7 @@ def _maps(cells):
 
 
 def _ranked(cells):
-    """What the table of `cells` shows, from the worst SNS to the best."""
+    """The rows of the table of `cells`, from the worst SNS to the best."""
     rows = []
     for cell in sorted(cells, key=lambda cell: (cell["summary"].get("SNS", -np.inf), cell["name"])):
         row = {"grades": list(cell["grades"].values()), "episodes": cell["episodes"], "interval": ""}
@@ -169,12 +169,13 @@ def _ranked(cells):
 
 
 def _figures(values):
-    """Of `values`, {metric: number or None}, what the tables of cells and episodes show, as texts."""
+    """The texts in the tables of cells and episodes for `values`, {metric: number or None}."""
     return [DASH if values.get(name) is None else f"{values[name]:.{digits}f}" for name, _, _, digits, _ in _SHOWN]
 
 
 def grade_settings(cells: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """What each grade of a suite's `cells` sets: {axis: {grade: {field: value}}}, where one axis alone decides it."""
+    """The fields that each grade of a suite's `cells` sets: {axis: {grade: {field: value}}}, where one axis alone
+    decides it."""
     configs = [cell["config"] for cell in cells]
     varying = [field for field in configs[0] if any(config[field] != configs[0][field] for config in configs)]
     found = {}
@@ -187,7 +188,7 @@ def grade_settings(cells: Sequence[dict[str, Any]]) -> dict[str, dict[str, dict[
 
 
 def _grades(cells):
-    """Rows (axis, grade, what it sets)."""
+    """Rows (axis, grade, the fields that it sets)."""
     return [
         (axis, grade, ", ".join(f"{field} = {value}" for field, value in fields.items()))
         for axis, grades in grade_settings(cells).items()
@@ -213,17 +214,17 @@ def _ways(episodes, rows, several):
 
 
 def _amount(counts):
-    """Such as "24" or "25 to 200"."""
+    """Counts in words, such as "24" or "25 to 200"."""
     return f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{counts[0]}"
 
 
 def make_report(
     content: dict[str, Any], episodes: Sequence[Episode], videos: Sequence[Any] = (), no_video: str | None = ""
 ) -> str:
-    """The page as text.
+    """The page report.html as text.
 
-    content: of results.json. episodes: those of its rows, in the same order. videos: (path, caption) pairs of .webm
-    files, embedded. no_video: why there are none.
+    content: the content of results.json. episodes: the Episodes of its rows, in the same order. videos: (path, caption)
+    pairs of .webm files to embed. no_video: the reason if there are none.
     """
     cells = content.get("cells", [])
     several = len(cells) > 1

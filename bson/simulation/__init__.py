@@ -1,1 +1,1 @@
-"""Many worlds at once: their scene, physics behind an engine, people who decide, contacts that are counted."""
+"""Many worlds at once: their scene, physics by an engine, people's decisions, sensors, and the count of contacts."""

@@ -1,7 +1,7 @@
-"""One world of the benchmark as pure functions on JAX, that jax.vmap makes many: what `bson.simulation.world.World`
-does, by the same rules, on a device.
+"""One world of the benchmark as pure functions in JAX, which jax.vmap turns into many: the work of
+`bson.simulation.world.World`, by the same rules, on a device.
 
-An episode goes `begin` -> `sense`, then `advance` -> `sense` for each control step.
+Call `begin`, then `sense`, to begin an episode; then `advance` and `sense` for each control step.
 """
 
 import zlib
@@ -27,17 +27,17 @@ COLLISIONS = ("collisions", *contacts.COUNTERS)
 
 
 class State(NamedTuple):
-    """Where a world stands; each as in `bson.simulation.world.World`, where nothing else is said."""
+    """The state of a world; fields without a comment are as in `bson.simulation.world.World`."""
 
-    drawn: Drawn  #: how its episode began
+    drawn: Drawn  #: the episode's beginning
     motion: Motion
-    stage: Any  #: (K,) int32: how many waypoints each of the people has reached
-    key: Any  #: of the sensors' noise
+    stage: Any  #: (K,) int32: number of waypoints that each person has reached
+    key: Any  #: random key of the sensors' noise
     steps: Any  #: int32
     travelled: Any
     counts: Any  #: (5,) int32, in the order of COLLISIONS
     fault: Any  #: bool: physics failed; the world stays as it was
-    overflow: Any  #: int32: the engine had no room for a contact (WarpEngine.explain); the episode is worth nothing
+    overflow: Any  #: int32: not 0 where contacts had no room (WarpEngine.explain); the episode is then worthless
     pose: Any
     velocity: Any
     distance: Any
@@ -52,10 +52,10 @@ def _chosen(condition, one, other):
 
 
 class BatchedWorld:
-    """The functions of a world of `config` with the sensors `mounted`, of which `nworld` are to be stepped together
+    """The functions of a world of `config` with the sensors `mounted`, for `nworld` worlds that are stepped together
     under jax.vmap.
 
-    Raises ValueError for what doesn't fit together, UsageError without MJX-Warp.
+    Raises ValueError for arguments that don't fit together, UsageError without MJX-Warp.
     """
 
     def __init__(self, config: TaskConfig, mounted: Any = (), nworld: int = 1, engine: Any = None):
@@ -76,7 +76,7 @@ class BatchedWorld:
         return self.config.people
 
     def begin(self, drawn: Any, key: Any = None) -> Any:
-        """The State, not yet sensed, of the episode `drawn`. key: of noise; None: one that the episode's seed gives."""
+        """The State, not yet sensed, of the episode `drawn`. key: of noise; None: a key from the episode's seed."""
         k, model = self._k, self.model
         qpos = jnp.concatenate([drawn.people.ravel(), drawn.robot, jnp.asarray(model.qpos0[3 * k + 7 :], jnp.float32)])
         if key is None:
@@ -119,9 +119,9 @@ class BatchedWorld:
         return _chosen(sound, after, failed)
 
     def headings(self, state: Any) -> Any:
-        """Where the people head now: the next waypoint, or the goal (K, 2) [m]."""
+        """The point (K, 2) [m] for which each person heads now: the next waypoint, or the goal."""
         last = jnp.maximum(state.drawn.turns - 1, 1)
-        index = state.stage % (2 * last)  # to and fro
+        index = state.stage % (2 * last)  # a person walks its waypoints to and fro
         index = jnp.minimum(jnp.where(index > last, 2 * last - index, index), state.drawn.turns - 1)
         return jnp.take_along_axis(state.drawn.ways, index[:, None, None], axis=1)[:, 0]
 
@@ -134,7 +134,7 @@ class BatchedWorld:
         return qpos[..., 3 * self._k : 3 * self._k + 7]
 
     def _commands(self, state):
-        """What the people decide: (3 K,), world velocities [m/s] and yaw rates [rad/s]."""
+        """The people's decisions (3 K,): world velocities [m/s] and yaw rates [rad/s]."""
         k, motion, boxes = self._k, state.motion, state.drawn.boxes
         pose, rate = motion.qpos[: 3 * k].reshape(k, 3), motion.qvel[: 3 * k].reshape(k, 3)
         body = robot.planar_pose(self._robot(motion.qpos))
@@ -147,7 +147,7 @@ class BatchedWorld:
             jnp.append(rate[:, 2], speed[5]),
             crowd_contacts.touching(position, boxes),
         )
-        # The robot is one more disc; where it wants to go, as far as people can tell.
+        # The robot is one more disc. People assume that it wants to go on as it moves.
         goals = jnp.concatenate([self.headings(state), body[None, :2] + speed[None, :2]])
         lcf = jnp.append(state.drawn.lcf, 0.0)
         command, *others = (decide(crowd, boxes, goals, lcf)[:k] for decide in self._controllers)
@@ -174,7 +174,8 @@ class BatchedWorld:
         return state._replace(stage=state.stage + reached)
 
     def _account(self, before, qpos, boxes):
-        """The way [m] and the steps in contact (5,) of physics steps `qpos` (s, nq) after the pose `before` (3,)."""
+        """The way driven [m] and the steps in contact (5,) in the physics steps `qpos` (s, nq), which follow the pose
+        `before` (3,)."""
         poses = robot.planar_pose(self._robot(qpos))
         way = jnp.diff(jnp.concatenate([before[None], poses]), axis=0)[:, :2]
         person, towards = contacts.touches_people(poses, way, self._people(qpos), self.config.robot)
@@ -195,7 +196,7 @@ class BatchedWorld:
         data = self.engine.sensordata(motion, drawn.boxes) if self._forward else None
         solids = rays.Solids(self._people(motion.qpos), drawn.boxes, self.config.map_size / 2 + 1.0)
         keys = jax.random.wrap_key_data(state.key)
-        seen = {}  # by cameras
+        seen = {}  # pictures that cameras share
         for number, (sensor, every, read) in enumerate(zip(self.sensors, self._every, self._readers, strict=True)):
             reading = read(body, solids, data, seen)
             if sensor.noise:
@@ -212,7 +213,7 @@ class BatchedWorld:
             nearest_person=contacts.person_gaps(pose, solids.people, self.config.robot).min(axis=-1, initial=jnp.inf),
             readings=readings,
         )
-        # A world whose physics failed shows what it showed last.
+        # A world whose physics failed keeps its last readings.
         return _chosen(state.fault, state, sensed)
 
 
@@ -235,7 +236,7 @@ def _turned(rotation, vectors):
 
 
 def _mounted(model, body, place, quaternion, base="robot"):
-    """Where what is fixed to `body` lies in the frame of the body that carries the robot: place (3,), rotation (3, 3).
+    """The pose of a thing fixed to `body`, in the frame of the robot's body `base`: place (3,), rotation (3, 3).
 
     Raises ValueError where a joint lies between."""
     base = int(model.joint(base).bodyid[0])
@@ -254,8 +255,8 @@ def _mounted(model, body, place, quaternion, base="robot"):
 
 
 def _bind(model, sensor, config):
-    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, what cameras saw) ->
-    reading."""
+    """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, the dict of
+    pictures) -> reading."""
     if isinstance(sensor, sensors.Imu):
         columns = np.concatenate(
             [model.sensor(f"robot/imu_{kind}").adr[0] + np.arange(3) for kind in ("accelerometer", "gyro")]
@@ -281,7 +282,7 @@ def _bind(model, sensor, config):
 
 
 def _bind_camera(model, sensor):
-    """As _bind: a camera. Those that see the same share it in `pictures`."""
+    """As _bind, for a camera. Cameras with the same picture share it in the dict of pictures."""
     camera = model.camera(f"robot/{sensor.key}").id
     place, turn = _mounted(model, model.cam_bodyid[camera], model.cam_pos[camera], model.cam_quat[camera])
     turn = turn @ sensors.LOOK.T
@@ -302,7 +303,7 @@ def _bind_camera(model, sensor):
 
 
 def _noisy(sensor, reading, key):
-    """`reading` with noise, distributed as by `sensor.noisy`."""
+    """`reading` with noise of the same distribution as from `sensor.noisy`."""
     if isinstance(sensor, sensors.RgbCamera):
         error = jax.random.normal(key, (*reading.shape[:2], 1)) * (255 * sensor.noise * sensor.sigma)
         return jnp.clip(jnp.rint(reading + error), 0, 255).astype(jnp.uint8)

@@ -1,4 +1,5 @@
-"""What the robot touches, by geometry, so that scores don't depend on solver details: surfaces within CONTACT_GAP."""
+"""The robot's contacts, by geometry, so that scores don't depend on solver details: surfaces within CONTACT_GAP
+touch."""
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from macid.geometry import Array
 from macid.state import CONTACT_GAP, PHYSICS_STEP, RADIUS
 
 COUNTERS = ("collisions_person", "collisions_robot_on_person", "collisions_obstacle", "collisions_wall")
-APPROACH = 0.05  # a robot slower than this towards whom it touches was run into [m/s]
+APPROACH = 0.05  # below this speed towards a person, the robot was run into by the person [m/s]
 
 
 def person_gaps(pose: Array, people: Array, config: RobotConfig) -> Array:
@@ -19,9 +20,11 @@ def person_gaps(pose: Array, people: Array, config: RobotConfig) -> Array:
 
 
 def touches_people(pose: Array, way: Array, people: Array, config: RobotConfig) -> tuple[Array, Array]:
-    """Whether the robot touches a person, and moves towards one that it touches at more than APPROACH: both (...).
+    """Whether the robot touches a person, and whether it moves at more than APPROACH towards a person whom it touches:
+    both (...).
 
-    pose (..., 3) at the end of a physics step, way (..., 2) [m] driven in that step, people (..., K, 2); world frame.
+    pose (..., 3): at the end of a physics step; way (..., 2) [m]: the robot's in that step; people (..., K, 2) [m].
+    World frame.
     """
     touched = person_gaps(pose, people, config) <= CONTACT_GAP
     offset = people - pose[..., None, :2]

@@ -1,7 +1,7 @@
-"""What is known of a world, named once.
+"""The quantities of a world, named once.
 
-A World has each row of QUANTITIES as an array with a leading axis (nworld,). What environments give as `info`, what a
-Recorder keeps of each control step and what an Episode holds come from these rows.
+A World has each row of QUANTITIES as an array with a leading axis (nworld,). The `info` of environments, the record
+that a Recorder keeps of each control step, and the fields of an Episode come from these rows.
 """
 
 from typing import NamedTuple
@@ -15,18 +15,18 @@ class Quantity(NamedTuple):
     """A row of QUANTITIES."""
 
     name: str  # the World's attribute, and the key in `info`
-    shape: tuple[int | str, ...]  # of one world's value; K: people, B: boxes, nq: MuJoCo's configuration
+    shape: tuple[int | str, ...]  # of one world's value; K: number of people, B: of boxes, nq: of MuJoCo's coordinates
     kind: type  # int, float, bool or str
     unit: str  # "-" for a plain number
-    frame: str  # "world" or "robot"; "" where it makes no difference
+    frame: str  # "world" or "robot"; "" for a quantity without a frame
     what: str
     info: bool = False  # whether environments give it as `info`
-    each: str | None = None  # its name in an Episode that has it after the reset and each control step: (T + 1, ...)
-    last: str | None = None  # its name in an Episode that keeps it as it is at the end
-    held: bool = True  # in an array of the World's own; the others are read where physics or people have them
+    each: str | None = None  # its name in an Episode that keeps it after the reset and each control step: (T + 1, ...)
+    last: str | None = None  # its name in an Episode that keeps its value at the end
+    held: bool = True  # whether the World has an array of its own for it; physics or people hold the others
 
     def shaped(self, *before: str) -> str:
-        """The shape as text, after the sides `before`; nothing for a single number."""
+        """The shape as text, with the sizes `before` in front; "" for a single number."""
         sides = [*before, *map(str, self.shape)]
         return f"({', '.join(sides)}{',' * (len(sides) == 1)})" if sides else ""
 
@@ -35,7 +35,7 @@ class Quantity(NamedTuple):
         return ", ".join(filter(None, (self.frame, self.unit)))
 
     def empty(self, nworld: int, **sizes: int) -> np.ndarray:
-        """Zeros (no text) for `nworld` worlds; sizes: what the letters in `shape` stand for."""
+        """Zeros (no text) for `nworld` worlds; sizes: the numbers for the letters in `shape`."""
         shape = (nworld, *(sizes[side] if isinstance(side, str) else side for side in self.shape))
         return np.full(shape, "", object) if self.kind is str else np.zeros(shape, self.kind)
 

@@ -1,17 +1,17 @@
-"""Physics that failed: what became infinite or not a number, or moves as nothing does."""
+"""Failures of physics: values that became infinite or not a number, or impossible speeds."""
 
 import numpy as np
 
 from bson.simulation.engines.base import Engine
 from bson.simulation.scene import joint_at
 
-DIVERGED = 100.0  # a speed of a person or robot that only failed physics gives [m/s, rad/s]
+DIVERGED = 100.0  # only failed physics moves a person or robot this fast [m/s, rad/s]
 
 
 def find_faults(engine: Engine, ids: np.ndarray, moving: int) -> dict[int, str]:
-    """What went wrong in which of the worlds `ids`: {place in ids: in words}.
+    """The failures of physics in the worlds `ids`: {index into ids: in words}.
 
-    moving: how many degrees of freedom, the first ones, are people's and the robot's own, without its wheels.
+    moving: the number of degrees of freedom of the people and of the robot without its wheels; they come first.
     """
     faults = engine.warnings(ids)
     speed = np.abs(engine.qvel[ids, :moving])

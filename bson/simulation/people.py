@@ -1,8 +1,9 @@
-"""The people of many worlds: the ways that they go, and what they decide.
+"""The people of many worlds: their ways and their decisions.
 
-Pedestrians decide by one compiled program a world, since a vectorised one may round differently: what somebody does
-depends on nothing in any other world, bit for bit. Worlds of any counts share a few compiled decisions: people and
-boxes are filled up to the next of a few sizes, with people and boxes out of everybody's reach (`decision`).
+A compiled program decides for the pedestrians of one world at a time, since a vectorised program may round differently:
+what a pedestrian does depends on nothing in any other world, bit for bit. Worlds of any counts share a few compiled
+decisions: people and boxes are filled up to the next of a few sizes, with people and boxes out of everybody's reach
+(`decision`).
 """
 
 import copy
@@ -19,29 +20,29 @@ from macid import contacts, layout
 from macid.layout import Layout
 from macid.state import GOAL_RADIUS, CrowdState, parking_place
 
-# Sizes to which a decision's people (with the robot) and boxes are filled up: the paper's counts are among them. No
-# step leads over a power of two, at which the distance to a disc is rounded otherwise (macid.geometry.first_disc).
+# Sizes to which a decision's people (with the robot) and boxes are filled up; the paper's counts are among them. No
+# size rounds up over a power of two, where the distance to a disc is rounded otherwise (macid.geometry.first_disc).
 ROWS = (2, 4, 8, 16, 25, 32, 51, 64, 101, 128, 201, 256, 384, 512, 768, 1024, 1536, 2048)
 BOXES = (4, 16, 44, 85, 128, 192, 256)
-_BOX_STEP = 256  # of more boxes than that
-_COLUMNS = (2, 1, 2, 1, 2, 1, 1)  # of a decision's rows: position, yaw, velocity, yaw rate, goal, lcf, model
+_BOX_STEP = 256  # sizes beyond these are multiples of it
+_COLUMNS = (2, 1, 2, 1, 2, 1, 1)  # of a decision's array: position, yaw, velocity, yaw rate, goal, lcf, model
 
 
 def rows_for(number: int) -> int:
-    """The first of ROWS that `number` people and a robot fit in."""
+    """The least of ROWS that has room for `number` people and a robot."""
     return next(rows for rows in ROWS if rows > number)
 
 
 def _box_rows(number):
-    """The first of BOXES, or multiple of _BOX_STEP, that `number` boxes fit in."""
+    """The least of BOXES, or else the least multiple of _BOX_STEP, that has room for `number` boxes."""
     return next((rows for rows in BOXES if rows >= number), -(-number // _BOX_STEP) * _BOX_STEP)
 
 
 def find_ways(layout: Layout, router: Any, people: Any, places: np.ndarray, goals: np.ndarray) -> list[np.ndarray]:
-    """Waypoints (W, 2) [m] of each of `people` from its of `places` to its of `goals`, the goal last.
+    """Waypoints (W, 2) [m] of each of `people` from its row of `places` to its row of `goals`, the goal last.
 
-    They lead along the person's route, if the map has routes, and around obstacles, if there is a router. Raises
-    NoFreeSpace."""
+    The waypoints lead along the person's route, if the map has routes, and around obstacles, if there is a router.
+    Raises NoFreeSpace."""
     ways = [stops(layout, *each) for each in zip(people, places, goals, strict=True)]
     if router is None or not ways:
         return ways
@@ -58,9 +59,9 @@ def next_goals(
     places: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Where the people `who` (N,) go once they are at their goals: for each of `places` (N, 2) a goal (N, 2) [m].
+    """New goals (N, 2) [m] of the people `who` (N,), who are at their goals, at `places` (N, 2).
 
-    Along a route it is back to the other end; elsewhere goals are drawn from the Generator `rng`. Raises
+    On a route a person goes back to the other end; elsewhere goals are drawn from the Generator `rng`. Raises
     NoFreeSpace."""
     if map_layout.routes:
         ends = [map_layout.routes[person % len(map_layout.routes)][[0, -1]] for person in who]
@@ -74,11 +75,13 @@ def next_goals(
 @functools.lru_cache(64)
 def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
     """The decision of up to `rows` people among `boxes` boxes, by `controllers`, jitted: (rows, sum of _COLUMNS) and
-    (boxes, 5) to (rows * 3,). The robot is one more disc, after the people; whoever fills the rows up comes last, out
-    of everybody's reach. Worlds of all counts share a few: compiling takes longer than all else that makes a World.
+    (boxes, 5) to (rows * 3,). The robot is one more disc, after the people; the discs that fill the rows up come last,
+    out of everybody's reach. Worlds with any counts share a few decisions, as compiling one takes longer than all other
+    work of making a World.
 
-    What fills up changes nothing of learned people's decisions, bit for bit. Of rules that add up forces, and of ORCA,
-    it may change the last bit, as the compiler adds in another order: so all worlds of one count have the same rows.
+    Filling up changes nothing in learned people's decisions, bit for bit. With rules that add up forces, and with ORCA,
+    it may change the last bit, as the compiler adds in another order. So all worlds with one count have the same number
+    of rows.
     """
 
     def decide(packed, boxes):
@@ -108,18 +111,18 @@ class People:
         self._unplanned: list[Any] = [None] * nworld  # people's starts and goals, until their ways are needed
         rows, box_rows = rows_for(number), _box_rows(boxes)
         away = parking_place(np.arange(max(rows, box_rows)))
-        self._rows = np.zeros((rows, sum(_COLUMNS)), np.float32)  # of a decision for which nobody is there
+        self._rows = np.zeros((rows, sum(_COLUMNS)), np.float32)  # of a decision, while nobody is there
         self._rows[:, :2] = self._rows[:, 6:8] = away[:rows]
         self._boxes = np.zeros((nworld, box_rows, 5), np.float32)
         self._boxes[:, :, :2], self._boxes[:, :, 2:4] = -away[:box_rows], 0.1
 
     def configure(self, config: TaskConfig) -> None:
-        """Goes on in the setting `config`, with as many people and boxes."""
+        """Goes on in the setting `config`, which has the same numbers of people and boxes."""
         self._controllers = tuple(controller(name, config.decision_period) for name in config.model_shares)
         self._config = config
 
     def begin(self, index: int, drawn: Spawn, rng: np.random.Generator) -> None:
-        """Begins the episode that was drawn in world `index`; from `rng` come the goals after the first."""
+        """Begins the episode `drawn` in world `index`; later goals are drawn from `rng`."""
         self.layouts[index], self._routers[index], self._rngs[index] = drawn.layout, drawn.router, rng
         self._boxes[index, : len(drawn.layout.boxes)] = drawn.layout.boxes
         self._unplanned[index] = drawn.people[:, :2].copy(), drawn.people_goals
@@ -131,8 +134,8 @@ class People:
     def plan(self, ids: Iterable[int]) -> None:
         """Finds the ways of the people of the worlds `ids` whose episodes have just begun.
 
-        That takes longer than all else in a reset, so it waits until somebody walks or asks; on every map, spawn has
-        seen to it that there are ways."""
+        The search takes longer than all other work of a reset, so it waits until somebody walks or asks. It can't fail,
+        as spawn has checked on every map that there are ways."""
         for index in ids:
             if self._unplanned[index] is not None:
                 starts, goals = self._unplanned[index]
@@ -141,7 +144,7 @@ class People:
                 self._routes[index], self._unplanned[index] = [way[1:] for way in ways], None
 
     def destinations(self, index: int) -> np.ndarray:
-        """Where the people of a world go, at the end of their ways: (K, 2) [m]."""
+        """The ends (K, 2) [m] of the ways of a world's people."""
         if self._unplanned[index] is not None:
             return self._unplanned[index][1].copy()
         ways = zip(self.heading[index], self._routes[index], strict=True)
@@ -157,24 +160,26 @@ class People:
         lcf: np.ndarray,
         models: np.ndarray,
     ) -> list[np.ndarray]:
-        """What the people of the worlds `ids` want: a list of (3 K,), world-frame velocity [m/s] and yaw rate [rad/s].
+        """The decisions of the people of the worlds `ids`: for each world (3 K,), world-frame velocities [m/s] and yaw
+        rates [rad/s].
 
         pose, rate (n, K, 3): x, y, yaw and their rates; robot_pose, robot_rate (n, 3): the robot's; lcf, models (n, K).
-        The calls overlap: JAX runs them while the next begins.
+        The calls overlap: JAX computes one while the next begins.
         """
         k = self.heading.shape[1]
         packed = np.repeat(self._rows[None], len(ids), axis=0)
         packed[:, :k, :3], packed[:, :k, 3:6] = pose, rate
         packed[:, :k, 6:8], packed[:, :k, 8], packed[:, :k, 9] = self.heading[ids], lcf, models
         packed[:, k, :3], packed[:, k, 3:6] = robot_pose, robot_rate
-        packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # where it wants to go, as far as people can tell
+        packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # people assume that it wants to go on as it moves
         decide = decision(self._controllers, packed.shape[1], self._boxes.shape[1])
         commands = [decide(packed[row], self._boxes[index]) for row, index in enumerate(ids)]
         return [np.asarray(command)[: 3 * k] for command in commands]
 
     def advance(self, ids: np.ndarray, places: np.ndarray, draws: Callable) -> None:
-        """Lets people of the worlds `ids`, now at `places` (n, K, 2), go on to the next waypoint from theirs, and from
-        their goal to a new one. draws(rng): called before a goal is drawn from the Generator `rng`."""
+        """Lets people of the worlds `ids`, now at `places` (n, K, 2), go on from a waypoint that they reached to the
+        next one, and from their goal to a new one. draws(rng): called before a goal is drawn from the Generator
+        `rng`."""
         offset = places - self.heading[ids]
         there = np.argwhere((offset**2).sum(axis=-1) <= GOAL_RADIUS**2)
         finished = {}
@@ -191,7 +196,8 @@ class People:
     def _new_goals(self, index, who, places, draws):
         """New goals, and ways to them, for the people `who` of a world, from `places` where they stand.
 
-        Who finds none (crowded into a corner of a small map) stays, and asks again at the next decision.
+        A person for whom no goal is found (crowded into a corner of a small map) stays, and asks again at the next
+        decision.
         """
         map_layout, router = self.layouts[index], self._routers[index]
         try:
@@ -205,16 +211,18 @@ class People:
             self.heading[index, person], self._routes[index][person] = way[0], way[1:]
 
     def own_generators(self, memo: dict) -> None:
-        """Goes on with copies of its Generators (memo: copy.deepcopy's), so that no other people draw from them."""
+        """Goes on with copies of its Generators (memo: copy.deepcopy's), so that no other People object draws from
+        them."""
         self._rngs = copy.deepcopy(self._rngs, memo)
 
     def save(self) -> dict:
-        """All that the next calls depend on, for `restore`; but for the state of Generators."""
+        """The whole state on which the next calls depend, for `restore`, except the Generators'."""
         lists = {name: list(getattr(self, name)) for name in ("layouts", "_routers", "_rngs", "_unplanned")}
         arrays = {name: getattr(self, name).copy() for name in ("heading", "_boxes")}
         return {**lists, **arrays, "_routes": [list(ways) for ways in self._routes]}
 
     def restore(self, saved: dict) -> None:
-        """Goes back to what `save` gave, of these people or of others, as many, in as many worlds."""
+        """Goes back to a state from `save`, of this or another People object with the same numbers of people and
+        worlds."""
         for name, value in saved.items():
             getattr(self, name)[:] = value

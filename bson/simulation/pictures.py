@@ -1,8 +1,9 @@
-"""What the robot's cameras see, as formulas: rays through the pixels' middles, and the light of `macid.scene` on what
-they meet. NumPy or JAX arrays in, the same out.
+"""The pictures of the robot's cameras, as formulas: rays through the pixels' middles, and the light of `macid.scene` on
+the surfaces that they meet. NumPy or JAX arrays in, the same out.
 
-Depth is exact. Colours are those of the native engine's pictures to a few of 255 steps: light from afar and from the
-camera, no shadow, the floor's tiles and the sky's gradient; highlights, fainter than that, are left out.
+Depth is exact. Colours agree with the native engine's pictures to a few of 255 steps. They include light from afar and
+from the camera, the floor's tiles and the sky's gradient, but no shadows. Highlights, fainter than those few steps, are
+left out.
 """
 
 from typing import Any
@@ -19,9 +20,9 @@ _HEADLIGHT = np.array([0.30, 0.30, 0.30], np.float32)
 _SUN = np.array([0.46, 0.45, 0.42], np.float32)
 _TO_SUN = -np.array([0.35, 0.25, -0.9], np.float32) / np.float32(np.linalg.norm([0.35, 0.25, -0.9]))
 _TILES = np.array([[0.60, 0.61, 0.62], [0.65, 0.66, 0.67]], np.float32)
-_TILE = 1.0  # [m]
-_MARK, _LINE = np.array([0.53, 0.54, 0.55], np.float32), 4 / 256  # every two tiles, that wide [m]
-_SKY = np.array([[0.75, 0.83, 0.92], [0.96, 0.97, 0.98]], np.float32)  # above, below
+_TILE = 1.0  # side of a floor tile [m]
+_MARK, _LINE = np.array([0.53, 0.54, 0.55], np.float32), 4 / 256  # lines every two tiles: colour, width [m]
+_SKY = np.array([[0.75, 0.83, 0.92], [0.96, 0.97, 0.98]], np.float32)  # colours above and below
 _SKY_SLOPE = 1.16  # at the horizon, as MuJoCo's gradient has it
 
 
@@ -48,14 +49,14 @@ def normals_of_box(point: Array, box: Array, height: Array) -> Array:
 
 
 def floor_colour(point: Array, spread: Array) -> Array:
-    """The floor's colour (..., 3) at `point` (..., 3), of a pixel that spans `spread` (...) [m] of it."""
+    """The floor's colour (..., 3) at `point` (..., 3), for a pixel that spans `spread` (...) [m] of the floor."""
     xp = point.__array_namespace__()
     cell = xp.floor(point[..., 0] / _TILE) + xp.floor(point[..., 1] / _TILE) + 1
     bright = xp.where(cell % 2 == 1, xp.ones_like(cell), xp.zeros_like(cell))
     sharp = xp.clip(1.5 - spread / _TILE, 0.0, 1.0)
     share = 0.5 + (bright - 0.5) * sharp
     tiles = _TILES[0] + (_TILES[1] - _TILES[0]) * share[..., None]
-    beside = point[..., :2] - 2 * _TILE * xp.round(point[..., :2] / (2 * _TILE))  # from the nearest line
+    beside = point[..., :2] - 2 * _TILE * xp.round(point[..., :2] / (2 * _TILE))  # distance from the nearest line
     beside = xp.min(xp.abs(beside), axis=-1)
     wide = xp.maximum(spread, xp.full_like(spread, _LINE))
     marked = xp.where(beside <= wide / 2, _LINE / wide, xp.zeros_like(wide))
@@ -72,8 +73,9 @@ def sky_colour(direction: Array) -> Array:
 
 
 def look(origin: Array, direction: Array, ahead: Array, solids: Any, pixel: float) -> tuple[Array, Array]:
-    """What a camera at `origin` (3,) sees along `direction` (H, W, 3), each as long as 1 m along its axis `ahead` (3,):
-    colours (H, W, 3) uint8, and distances (H, W) in lengths of `direction`, that is along the axis [m].
+    """The picture of a camera at `origin` (3,) along `direction` (H, W, 3), vectors that reach 1 m along the camera's
+    axis `ahead` (3,): colours (H, W, 3) uint8, and distances (H, W) in lengths of `direction`, that is along the axis
+    [m].
 
     pixel: the height of a pixel at a distance of 1 m [m].
     """

@@ -1,9 +1,9 @@
 """Episodes drawn on the host for worlds on a device: a ring of them there, refilled in the background.
 
-An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. What the native world draws in passing, the
-goals of people who have arrived at theirs, is drawn here beforehand, from the same stream after the spawn: each goal
-lies about the last one, not about where the person will stand when it gets there, up to GOAL_RADIUS beside it. Whoever
-has come to the end of its ways walks them back.
+An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. The native world draws a new goal when a
+person has arrived at the last one. Here these goals are drawn beforehand, from the same stream after the spawn. So each
+goal is drawn around the last goal, and not around the place, up to GOAL_RADIUS away, at which the person arrives. A
+person at the end of its ways walks them back.
 """
 
 import concurrent.futures
@@ -26,7 +26,7 @@ from macid import layout
 from macid.routing import occupancy_grid
 
 GOALS = 8  # of each person, where ways are straight
-ROUTED_GOALS = 3  # where they lead around obstacles, which takes the host far longer
+ROUTED_GOALS = 3  # where ways lead around obstacles, which the host takes far longer to find
 ROUTED_WAYPOINTS = 32
 _BLOCK = 64  # episodes that a worker draws at once
 
@@ -43,7 +43,7 @@ class Drawn(NamedTuple):
     lcf: Any  #: (K,)
     models: Any  #: (K,) int32
     ways: Any  #: (K, W, 2) waypoints [m], goal after goal
-    turns: Any  #: (K,) int32: how many waypoints there are
+    turns: Any  #: (K,) int32: number of waypoints
     map: Any  #: (cells, cells) uint8, see bson.episodes.tracks; (0, 0) unless asked for
 
 
@@ -57,7 +57,7 @@ def _itineraries(config, drawn, rng):
         if number:
             try:
                 places, ends = ends, next_goals(config, drawn.layout, drawn.router, range(count), ends, rng)
-            except layout.NoFreeSpace:  # then they go back from there
+            except layout.NoFreeSpace:  # then the person goes back from there
                 break
         for chain, way in zip(chains, find_ways(drawn.layout, drawn.router, range(count), places, ends), strict=True):
             chain.extend(way)
@@ -100,7 +100,7 @@ class _Worker:
 
     def __init__(self):
         command = [sys.executable, "-c", "from bson.simulation.pool import serve; serve()"]
-        environment = {**os.environ, "JAX_PLATFORMS": "cpu"}  # it needs no accelerator
+        environment = {**os.environ, "JAX_PLATFORMS": "cpu"}  # a worker needs no accelerator
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         assert self._process.stdin and self._process.stdout
         self._asked, self._answered, self._lock = self._process.stdin, self._process.stdout, threading.Lock()
@@ -121,7 +121,7 @@ class _Worker:
 
 
 def serve() -> None:
-    """What a worker process does: draws what it is asked for on its standard input until that ends."""
+    """The program of a worker process: draws the episodes asked for on its standard input, until that ends."""
     output, sys.stdout = sys.stdout.buffer, sys.stderr
     while True:
         try:
@@ -137,12 +137,12 @@ def serve() -> None:
 
 
 class Pool:
-    """A ring of `size` episodes on the device, with the seeds `seed`, `seed + 1`, ...: none comes twice.
+    """A ring of `size` episodes on the device, with the seeds `seed`, `seed + 1`, ...; no seed comes twice.
 
-    `episodes` (Drawn, leading axis (size,)) is what a step takes from. Whoever begins episodes takes the slots in
-    order, one after the other around the ring, calls `used` to say how many it has taken, and before it may take up to
-    `number` more `ensure(number)`, which waits only where the host has not drawn them yet. workers: processes that
-    draw; 0: a thread.
+    `episodes` (Drawn, leading axis (size,)) holds the ring's episodes. A caller takes the slots in order around the
+    ring. Before it takes up to `number` more, it calls `ensure(number)`, which waits only where the host has not drawn
+    them yet; afterwards it calls `used` with the number taken. workers: number of processes that draw; 0: a thread
+    draws.
     """
 
     def __init__(self, config: TaskConfig, size: int, seed: int = 0, with_map: bool = False, workers: int = 0):
@@ -155,8 +155,8 @@ class Pool:
         while size % block:
             block -= 1
         self._block = block
-        self.begun = self.drawn = 0  #: episodes that were taken from the ring, and put into it
-        self.waited = 0.0  #: for episodes, after the first ones [s]
+        self.begun = self.drawn = 0  #: episodes taken from the ring, and put into it
+        self.waited = 0.0  #: time spent waiting for episodes, after the first ones [s]
         self._workers = [_Worker() for _ in range(workers)]
         self._threads = concurrent.futures.ThreadPoolExecutor(max(1, workers), "bson-pool")
         self._pending = []
@@ -171,8 +171,7 @@ class Pool:
         )
 
     def _ask(self):
-        """Has as many blocks drawn as will fit into the ring, beside those that wait for room, and two more a
-        worker."""
+        """Asks for blocks of episodes: as many as have room in the ring, and two more for each worker."""
         ahead = max(2, 2 * len(self._workers)) + (self.size - (self.drawn - self.begun)) // self._block
         while len(self._pending) < ahead:
             seeds = range(self._next_seed, self._next_seed + self._block)
@@ -182,11 +181,11 @@ class Pool:
             self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map))
 
     def used(self, number: int) -> None:
-        """Says that `number` more episodes have been begun."""
+        """Notes that `number` more episodes have begun."""
         self.begun += int(number)
 
     def ensure(self, number: int) -> None:
-        """Sees to it that at least `number` episodes are in the ring that nobody has begun yet. Raises NoFreeSpace."""
+        """Waits until the ring has at least `number` episodes that have not begun. Raises NoFreeSpace."""
         if number > self.size - self._block + 1:
             raise ValueError(f"A pool of {self.size} episodes can't have {number} ready: give it a larger size.")
         begin, short = time.perf_counter(), self.drawn - self.begun < number and self.begun > 0
@@ -202,7 +201,7 @@ class Pool:
         self._ask()
 
     def close(self) -> None:
-        """Ends the drawing; closing twice does no harm."""
+        """Stops drawing episodes; closing twice does no harm."""
         self._threads.shutdown(wait=True, cancel_futures=True)
         for worker in self._workers:
             worker.close()

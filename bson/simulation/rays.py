@@ -12,16 +12,16 @@ from macid.geometry import Array
 from macid.scene import OUTER_WALL_HEIGHT, WALL_HEIGHT
 from macid.state import HEIGHT, RADIUS
 
-_TINY = 1e-12  # of a squared length: a ray that is as good as upright
+_TINY = 1e-12  # of a squared length: below it a ray counts as upright
 NOTHING = np.inf
 
 
 class Solids(NamedTuple):
-    """What of a world rays meet."""
+    """The parts of a world that rays meet."""
 
     people: Any  #: (K, 2) [m]
     boxes: Any  #: (B, 5); the first four are the outer walls
-    half: float  #: half a side of the floor [m]
+    half: float  #: half the side of the floor [m]
 
 
 def box_heights(number: int) -> np.ndarray:
@@ -30,7 +30,7 @@ def box_heights(number: int) -> np.ndarray:
 
 
 def slab(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Between which distances rays are within low <= x <= high along an axis: (enter, leave)."""
+    """The distances (enter, leave) between which rays are within low <= x <= high along an axis."""
     xp = direction.__array_namespace__()
     safe = xp.where(xp.abs(direction) < 1e-9, xp.full_like(direction, 1e-9), direction)
     one, other = (low - origin) / safe, (high - origin) / safe
@@ -47,10 +47,10 @@ def to_people(origin: Array, direction: Array, people: Array) -> Array:
     """Distances (..., K) [m] from `origin` (3,) along `direction` (..., 3) to the people at `people` (K, 2)."""
     xp = direction.__array_namespace__()
     x, y, z = direction[..., 0, None], direction[..., 1, None], direction[..., 2, None]
-    level = xp.maximum(x**2 + y**2, xp.full_like(x, _TINY))  # of a unit step, the squared length along the floor
+    level = xp.maximum(x**2 + y**2, xp.full_like(x, _TINY))  # squared length, along the floor, of a unit step
     offset = origin[:2] - people
     closest = -(x * offset[:, 0] + y * offset[:, 1]) / level
-    # By the offset at the closest point: far fewer digits are lost than in b^2 - a c.
+    # Computed from the offset at the closest point: this loses far fewer digits than b^2 - a c.
     aside = (offset[:, 0] + closest * x) ** 2 + (offset[:, 1] + closest * y) ** 2
     inside = RADIUS**2 - aside
     reach = xp.sqrt(xp.maximum(inside, xp.zeros_like(inside)) / level)

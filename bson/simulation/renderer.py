@@ -1,4 +1,4 @@
-"""What cameras in the worlds of a batch see, drawn offscreen: one OpenGL context for all worlds and cameras."""
+"""Pictures of the cameras in a batch's worlds, drawn offscreen: one OpenGL context for all worlds and cameras."""
 
 import copy
 from collections.abc import Callable
@@ -11,16 +11,17 @@ from macid import drawing
 
 
 def draw_plainly(quality: Any) -> None:
-    """Sets the visual quality of an MjModel or MjSpec to the cameras': no shadows, and a pixel is the ray through its
-    middle, so that its depth is that of one surface: no samples beside it."""
+    """Sets the visual quality of an MjModel or MjSpec for cameras: no shadows and no anti-aliasing. A pixel is only the
+    ray through its middle, so that its depth is the depth of one surface."""
     quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
 
 
 class Renderer(drawing.Offscreen):
-    """Draws what the cameras of `model` see in `nworld` worlds, without shadows; a picture is as large as its camera's
+    """Draws the pictures of `model`'s cameras in `nworld` worlds, without shadows; a picture has its camera's
     resolution.
 
-    model: as sensors see it; it is copied. Close it, or let it go; raises macid.drawing.Unavailable without OpenGL.
+    model: as sensors see it; it is copied. Close the Renderer, or drop the last reference to it. Raises
+    macid.drawing.Unavailable without OpenGL.
     """
 
     def __init__(self, model: mujoco.MjModel, nworld: int):
@@ -35,7 +36,7 @@ class Renderer(drawing.Offscreen):
         self._frames = {}
 
     def view(self, name: str) -> int:
-        """The view of the camera `name`: a number. Cameras that see the same picture have the same number."""
+        """The view of the camera `name`: a number. Cameras with the same picture have the same number."""
         model = self.model
         same = np.ones(model.ncam, bool)
         for field in ("bodyid", "pos", "quat", "resolution", "sensorsize", "intrinsic"):
@@ -44,10 +45,10 @@ class Renderer(drawing.Offscreen):
         return int(np.flatnonzero(same)[0])
 
     def look(self, view: int, ids: np.ndarray, fill: Callable, now: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the worlds `ids` look like: RGB (n, H, W, 3) uint8 and depth (n, H, W) float32 [m].
+        """The pictures of the worlds `ids`: RGB (n, H, W, 3) uint8 and depth (n, H, W) float32 [m].
 
         Depth is measured along the optical axis, not along the pixel's ray. fill(index, data) writes the state of world
-        `index` into the MjData `data`. now: a number that changes when worlds do; a view is drawn once for each,
+        `index` into the MjData `data`. now: a number that changes when worlds do; a view is drawn once for each `now`,
         however many sensors share it.
         """
         if view not in self._frames:
@@ -74,7 +75,7 @@ class Renderer(drawing.Offscreen):
         rect = mujoco.MjrRect(0, 0, depth.shape[1], depth.shape[0])
         mujoco.mjr_render(rect, self.scene, self._context)
         mujoco.mjr_readPixels(rgb, depth, rect, self._context)
-        rgb[:], depth[:] = rgb[::-1].copy(), depth[::-1].copy()  # OpenGL begins below
+        rgb[:], depth[:] = rgb[::-1].copy(), depth[::-1].copy()  # OpenGL's first row is the lowest
         camera = self.scene.camera[0]
         near, far = float(camera.frustum_near), float(camera.frustum_far)
         depth[:] = near * far / (near + depth.astype(np.float64) * (far - near))  # 1 is near, 0 far

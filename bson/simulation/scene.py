@@ -1,4 +1,4 @@
-"""The scene of a world as MuJoCo has it: people, boxes, the robot and its sensors."""
+"""The MuJoCo scene of a world: people, boxes, the robot and its sensors."""
 
 import functools
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ from macid.maps import load_map
 
 @functools.lru_cache(8)
 def _maze(size):
-    """The example of a maze of side `size` [m] whose walls all stand."""
+    """An example of a maze of side `size` [m] in which all walls stand."""
     return layout.maze_layout(np.random.default_rng(0), 1.0, size).boxes
 
 
 def _boxes(config):
-    """An example (B, 5) of the boxes that an episode of `config` has: their number and sizes are those of each."""
+    """Boxes (B, 5) of an example episode of `config`: their number and sizes are the same in every episode."""
     if config.map is not None:
         return load_map(config.map).boxes
     boxes = _maze(config.map_size)
@@ -37,13 +37,13 @@ def build_spec(config: TaskConfig, sensors: Sequence[Sensor], hidden: bool = Fal
     for sensor in sensors:
         sensor.mount(spec)
     if hidden:
-        robot.hide_robot(spec)  # and what sensors have added to it
+        robot.hide_robot(spec)  # including the parts that sensors have added
     return spec
 
 
 def structure(config: TaskConfig) -> tuple:
-    """What of `config` makes a world's model: worlds of one structure go from one setting to the other without a new
-    one (World.configure)."""
+    """The part of `config` that determines a world's model: worlds of one structure change their setting without a new
+    model (World.configure)."""
     sizes, digest = _boxes(config)[:, 2:4], robot.describe(config.robot).digest
     return config.people, sizes.shape, sizes.tobytes(), config.map_size, config.robot, digest
 

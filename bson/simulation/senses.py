@@ -10,7 +10,7 @@ from bson.sensors import Sensor
 
 
 class Senses:
-    """`sensors` in each of `nworld` worlds. readings: {a sensor's key: what it last read, (nworld, ...)}.
+    """`sensors` in each of `nworld` worlds. readings: {a sensor's key: its last readings (nworld, ...)}.
 
     Raises ValueError for two sensors of one key.
     """
@@ -22,16 +22,16 @@ class Senses:
         self.readings = {
             sensor.key: np.zeros((nworld, *sensor.space.shape), sensor.space.dtype) for sensor in self._sensors
         }
-        self._noise: list[list[Any]] = [[None] * nworld for _ in self._sensors]  # Generators, each episode its own
+        self._noise: list[list[Any]] = [[None] * nworld for _ in self._sensors]  # Generators, new ones each episode
         self._every: list[int] = []
         self._readers: list[Callable] = []
 
     def configure(self, period: float) -> None:
-        """Goes on with the control period `period` [s]. Raises ValueError for a sensor whose rate does not fit."""
+        """Sets the control period `period` [s]. Raises ValueError for a sensor whose rate does not fit."""
         self._every = [sensor.every(period) for sensor in self._sensors]  # control steps
 
     def bind(self, world: Any) -> None:
-        """Gets the sensors ready to read `world`. Raises what keeps one from working."""
+        """Gets the sensors ready to read `world`. Raises the error of a sensor that can't work."""
         self._readers = [sensor.bind(world) for sensor in self._sensors]
 
     def begin(self, index: int, seed: int) -> None:
@@ -40,10 +40,10 @@ class Senses:
             generators[index] = sensor.generator(seed) if sensor.noise else None
 
     def read(self, world: Any, ids: np.ndarray, fail: Callable, draws: Callable) -> None:
-        """Takes the readings of the worlds `ids` that are due: all of them, or none where it raises.
+        """Takes the readings of the worlds `ids` that are due: all of them, or none where an error is raised.
 
-        fail(index, what): called for a reading that is not finite, which is not taken; draws(rng): before noise comes
-        from the Generator `rng`.
+        fail(index, what): called for a reading that is not finite, which is not taken; draws(rng): called before noise
+        is drawn from the Generator `rng`.
         """
         taken = []
         for sensor, every, reader, noise in zip(self._sensors, self._every, self._readers, self._noise, strict=True):
@@ -60,7 +60,7 @@ class Senses:
                     draws(noise[index])
                     readings[row] = sensor.noisy(readings[row], noise[index])
             taken.append((sensor.key, due, readings))
-        for key, due, readings in taken:  # once nothing can fail any more
+        for key, due, readings in taken:  # only once nothing can fail any more
             self.readings[key][due] = readings
 
     def follow(self, other: "Senses", memo: dict) -> None:
@@ -70,9 +70,9 @@ class Senses:
             self.readings[key][:] = values
 
     def save(self) -> list:
-        """Whose noise is drawn, for `restore`; but for the state of Generators."""
+        """The Generators of the noise, without their states, for `restore`."""
         return [list(generators) for generators in self._noise]
 
     def restore(self, saved: list) -> None:
-        """Goes back to what `save` gave."""
+        """Goes back to a state from `save`."""
         self._noise = saved

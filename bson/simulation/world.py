@@ -1,7 +1,7 @@
 """Worlds of a scene, its people and the robot, many at once on one engine.
 
-Every world has the same configuration and its own episode. What a world does depends only on its seed and its
-commands, never on its neighbours in the batch, bit for bit where the engine promises as much.
+Every world has the same configuration and its own episode. A world's course depends only on its seed and its commands,
+never on its neighbours in the batch; bit for bit where the engine promises it.
 """
 
 import contextlib
@@ -33,18 +33,18 @@ from macid.state import GOAL_RADIUS
 
 MAX_WORLDS = 65_536
 _FAR = np.inf
-_CLOSING_SPEED = 10.0  # that no robot and person exceed [m/s]
-_ABSENT = 1000.0  # how far off the map a robot stands that takes no part [m]
+_CLOSING_SPEED = 10.0  # at most, of a robot and a person [m/s]
+_ABSENT = 1000.0  # distance off the map at which absent robots stand [m]
 
 
 def check_worlds(name: str, number: int) -> None:
-    """Raises ValueError for what is no number of worlds."""
+    """Raises ValueError unless `number` is a number of worlds."""
     if not (isinstance(number, (int, np.integer)) and not isinstance(number, bool) and 1 <= number <= MAX_WORLDS):
         raise ValueError(f"{name} must be a whole number of at least 1, at most {MAX_WORLDS}, not {shown(number)}.")
 
 
 def _finite(name, value, shape):
-    """`value` as an array, or None. Raises ValueError for what are no finite numbers of `shape`."""
+    """`value` as an array, or None. Raises ValueError for anything but finite numbers of `shape`."""
     if value is None:
         return None
     try:
@@ -57,10 +57,10 @@ def _finite(name, value, shape):
 
 
 class World:
-    """`nworld` worlds. What is known of them is in bson.simulation.data.QUANTITIES: each is an attribute, an array with
-    a leading axis (nworld,); after `step(ids, ...)` the rows `ids`, in ascending order, are current.
+    """`nworld` worlds. Each quantity of bson.simulation.data.QUANTITIES is an attribute, an array with a leading axis
+    (nworld,). After `step(ids, ...)` the rows `ids`, in ascending order, are current.
 
-    engine: what moves them (bson.simulation.engines).
+    engine: makes the engine that moves the worlds (bson.simulation.engines).
     """
 
     seed: np.ndarray
@@ -89,15 +89,16 @@ class World:
         with_robot: bool = True,
         engine: MakeEngine = NativeEngine,
     ):
-        """with_robot: False puts the robots where nobody sees or meets them: the same people among themselves.
-        Raises ValueError for what doesn't fit together, macid.drawing.Unavailable for cameras without OpenGL."""
+        """with_robot: False puts the robots where nobody sees or meets them, so that the same people walk among
+        themselves. Raises ValueError for arguments that don't fit together, macid.drawing.Unavailable for cameras
+        without OpenGL."""
         check_worlds("nworld", nworld)
         self._made = nworld, tuple(sensors), nthread, with_robot, engine
         self._away = 0.0 if with_robot else config.map_size + _ABSENT
         self._process = os.getpid()
         self.nworld, self.sensors = nworld, tuple(sensors)
         self._senses = Senses(sensors, nworld)
-        self.structure = structure(config)  #: of its model
+        self.structure = structure(config)  #: the structure of its model
         self.model = model = build_spec(config, self.sensors, hidden=True).compile()  # as it moves and is sensed
         self.robot = robot.describe(config.robot)
         self._crowd = People(nworld, config.people, model.nmocap)
@@ -107,12 +108,12 @@ class World:
         self._people = slice(0, 3 * k)
         self._robot_qpos, self._robot_qvel = slice(3 * k, 3 * k + 7), slice(3 * k, 3 * k + 6)
         self._robot_ctrl = robot.wheel_actuators(model, self.robot)
-        self._last_qpos = self.engine.qpos.copy()  # as last sensed
+        self._last_qpos = self.engine.qpos.copy()  # at the last sensing
         self._occupancy: list[Any] = [None] * nworld
         for quantity in QUANTITIES:
             if quantity.held:
                 setattr(self, quantity.name, quantity.empty(nworld, K=k, B=model.nmocap))
-        self._journal: dict | None = None  # what a failed step puts back, while there is a step
+        self._journal: dict | None = None  # states that a failed step puts back, while a step runs
         try:
             self._senses.bind(self)
         except BaseException:
@@ -120,13 +121,13 @@ class World:
             raise
 
     def configure(self, config: TaskConfig) -> None:
-        """Goes on in the setting `config`, which must have this world's structure; each world needs a reset then."""
+        """Goes on in the setting `config`, which must have the worlds' structure; after it each world needs a reset."""
         self._senses.configure(config.control_period)
         self._crowd.configure(config)
         self.config = config
 
     def __deepcopy__(self, memo):
-        """Worlds of their own that go on from where these are, equally."""
+        """An independent copy of the worlds, which goes on from the present state equally."""
         self._check_open()
         self._crowd.plan(range(self.nworld))
         made = World(self.config, *self._made)
@@ -142,7 +143,7 @@ class World:
         return made
 
     def close(self) -> None:
-        """Frees the physics and what draws for cameras; closing twice does no harm. Nothing can be stepped then."""
+        """Frees the physics and the cameras' renderer; closing twice does no harm. After it no world can be stepped."""
         if "engine" in vars(self):
             self.engine.close()
         for name in ("engine", "_senses", "_crowd", "_occupancy"):
@@ -159,7 +160,8 @@ class World:
 
     @contextlib.contextmanager
     def whole(self) -> Iterator[None]:
-        """What happens within happens whole: where it raises, all worlds are put back as they were. Nests."""
+        """Within the `with` everything happens, or nothing: if an error is raised, all worlds are put back as they
+        were. It can be nested."""
         self._check_open()
         if self._journal is not None:
             yield
@@ -193,7 +195,7 @@ class World:
 
     @property
     def readings(self) -> dict[str, np.ndarray]:
-        """{a sensor's key: what it last read, (nworld, ...)}."""
+        """{a sensor's key: its last readings (nworld, ...)}."""
         return self._senses.readings
 
     @property
@@ -223,7 +225,7 @@ class World:
         return self.engine.qpos
 
     def destinations(self, index: int) -> np.ndarray:
-        """Where the people of a world go, at the end of their ways: (K, 2) [m]."""
+        """The ends (K, 2) [m] of the ways of a world's people."""
         return self._crowd.destinations(index)
 
     def occupancy(self, index: int) -> np.ndarray:
@@ -244,7 +246,7 @@ class World:
             self._begin(ids, seeds, rngs, drawn)
 
     def _begin(self, ids, seeds, rngs, drawn: list[Spawn]):
-        """Begins the episodes that were drawn, a Spawn of each of the worlds `ids`."""
+        """Begins the episodes `drawn`, one Spawn for each of the worlds `ids`."""
         engine = self.engine
         engine.reset(ids)
         for index, seed, rng, s in zip(ids, seeds, rngs, drawn, strict=True):
@@ -264,7 +266,7 @@ class World:
         self._sense(ids)
 
     def _standing(self, pose):
-        """The robot's part of qpos (..., 7) where it stands at `pose` (..., 3), or off the map if it takes no part."""
+        """The robot's part of qpos (..., 7) at `pose` (..., 3), or off the map for a robot that takes no part."""
         x, y, yaw = np.moveaxis(np.asarray(pose, dtype=float), -1, 0)
         qpos = robot.spawn_qpos(x, y, yaw, self.robot.config)
         qpos[..., 0] += self._away
@@ -279,12 +281,13 @@ class World:
         velocity: ArrayLike | None = None,
         people_velocity: ArrayLike | None = None,
     ) -> None:
-        """Puts the robots and people of the worlds `ids`, whose episodes go on from there.
+        """Moves the robots and people of the worlds `ids`; their episodes go on from there.
 
-        pose (n, 3) of the robot, people (n, K, 3): x, y, yaw [m, m, rad], world frame; who is given no place stays.
-        velocity (n, 2) of the robot: ahead [m/s], yaw rate [rad/s]; people_velocity (n, K, 2) [m/s], world frame: who
-        is given none is at rest. Nothing is counted on the way; sensors read what is there now. Raises ValueError for
-        other shapes and for what is not finite, gymnasium.error.ResetNeeded before a world's first reset.
+        pose (n, 3) of the robot, people (n, K, 3): x, y, yaw [m, m, rad], world frame; without a place they stay.
+        velocity (n, 2) of the robot: ahead [m/s], yaw rate [rad/s]; people_velocity (n, K, 2) [m/s], world frame;
+        without a velocity they are at rest. No way or contact is counted for the move; sensors read the new state.
+        Raises ValueError for other shapes and for values that are not finite, gymnasium.error.ResetNeeded before a
+        world's first reset.
         """
         self._check_open()
         ids = np.asarray(ids, dtype=int)
@@ -327,7 +330,7 @@ class World:
         ids, command = np.asarray(ids, dtype=int)[sound], np.asarray(command)[sound]
         engine.ctrl[ids[:, None], self._robot_ctrl] = robot.wheel_speeds(command, self.robot)
         for _ in range(self.config.decisions):
-            if not len(ids):  # physics failed everywhere
+            if not len(ids):  # physics failed in all of them
                 return
             if self.config.people:
                 self._command_people(ids)
@@ -350,7 +353,7 @@ class World:
         self.engine.qpos[index], self.engine.qvel[index] = self._last_qpos[index], 0.0
 
     def _command_people(self, ids):
-        """Lets the people of the worlds `ids` decide."""
+        """Gives the people of the worlds `ids` their next commands."""
         k = self.config.people
         qpos, qvel = self.engine.qpos[ids], self.engine.qvel[ids]
         commands = self._crowd.decide(
@@ -366,14 +369,14 @@ class World:
             self.engine.ctrl[index, self._people] = command
 
     def _account(self, ids, before, qpos):
-        """Adds the physics steps `qpos` (n, s, nq), after the pose `before` (n, 3), to way and collisions."""
+        """Adds the physics steps `qpos` (n, s, nq), which follow the pose `before` (n, 3), to way and collisions."""
         config = self.robot.config
         poses = robot.planar_pose(qpos[..., self._robot_qpos])
         way = np.diff(np.concatenate([before[:, None], poses], axis=1)[..., :2], axis=1)
         self.travelled[ids] += np.hypot(way[..., 0], way[..., 1]).sum(axis=-1)
         person, towards = np.zeros((2, *poses.shape[:2]), bool)
         near = np.flatnonzero(self.nearest_person[ids] <= _CLOSING_SPEED * self.config.control_period)
-        if len(near):  # the others can't have met anybody since the last look
+        if len(near):  # the other robots can't have met anybody since the last look
             person[near], towards[near] = contacts.touches_people(
                 poses[near], way[near], self._places(qpos[near]), config
             )

@@ -7,8 +7,8 @@
 | `warp` | MuJoCo Warp's kernels, the extra `warp` | NVIDIA GPUs; a CPU for tests, slowly |
 
 Each is functional, `step(state, command) -> state`, can sit in a jitted `lax.scan`, and is read as the same
-`CrowdState` (`macid.engines.base.Engine`). Nothing behind this call asks which engine runs: an engine says what it can.
-An engine's options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
+`CrowdState` (`macid.engines.base.Engine`). Callers never ask which engine runs: an engine says what it can do. An
+engine's options follow its name: `warp:contacts=4,solver=cg` (`macid.engines.warp.WarpOptions`).
 
 A new engine is a file in this folder and a line in ENGINES.
 """
@@ -28,7 +28,7 @@ ENGINES = {
     "mjx": "macid.engines.mjx:MjxEngine",
     "warp": "macid.engines.warp:WarpEngine",
 }
-WARP_PACKAGE = "warp-lang==1.18.0"  # the version that mujoco-mjx 3.17.0 names
+WARP_PACKAGE = "warp-lang==1.18.0"  # the version for mujoco-mjx 3.17.0
 
 
 def engine_name(text: str) -> str:
@@ -46,7 +46,7 @@ def has_warp() -> bool:
 
 
 def best_engine() -> tuple[str, str]:
-    """The fastest engine on JAX's default device, and why it is that one, in a clause."""
+    """The fastest engine on JAX's default device, and the reason, in a clause."""
     import jax
 
     device = jax.devices()[0]
@@ -60,7 +60,7 @@ def best_engine() -> tuple[str, str]:
 
 
 def engine_kind(text: str) -> tuple[Any, Any]:
-    """(the class, its options) of the engine `text`, as `make_engine` takes it. Raises UsageError as that does."""
+    """(the class, its options) of the engine `text`, as for `make_engine`. Raises UsageError as `make_engine` does."""
     name, _, options = engine_name(text).partition(":")
     module, _, attribute = ENGINES[name].partition(":")
     if name == "warp" and not has_warp():

@@ -1,4 +1,4 @@
-"""What an engine is to all that uses one, and what engines share."""
+"""The interface of an engine, and the code that engines share."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from macid.geometry import Array
 from macid.state import CrowdState
 
 T = TypeVar("T")
-DIVERGED = 100.0  # a speed that only failed physics gives [m/s, rad/s]
-_UNROLLED = 50  # physics steps of a decision up to which XLA compiles each; a loop's sums may differ in the last bit
+DIVERGED = 100.0  # only failed physics gives such a speed [m/s, rad/s]
+_UNROLLED = 50  # up to this many physics steps a decision, XLA compiles each; a loop's sums may differ in the last bit
 
 
 class Engine(Protocol):
@@ -25,9 +25,9 @@ class Engine(Protocol):
 
     number: int
     nworld: int
-    boxes: Any  #: (B, 5), of all worlds
-    shards: bool  #: whether its worlds can lie on several devices of JAX's
-    stacks: bool  #: whether batches under vmap, as of several seeds, are stepped at once, not one by one
+    boxes: Any  #: (B, 5), the same in all worlds
+    shards: bool  #: whether the worlds can lie on several of JAX's devices
+    stacks: bool  #: whether batches under vmap, such as several seeds, are stepped at once, not one by one
 
     def init(self, position: Array, yaw: Array) -> Any:
         """The state with everybody at rest at `position` (nworld, K, 2) [m], `yaw` (nworld, K) [rad]. Jittable."""
@@ -47,23 +47,23 @@ class Engine(Protocol):
         ...
 
     def faults(self, state: Any) -> list[str]:
-        """What of the physics failed in each world: "" where nothing did. `state`: the last one. Raises as `check`."""
+        """The failures of physics in each world: "" where nothing failed. state: the last state. Raises as `check`."""
         ...
 
     def check(self) -> None:
         """Raises EngineOverflow where the engine had too little room for what it has simulated so far.
 
-        To be called when that has come to its end: jitted code can't raise."""
+        Call it after the simulation has ended: jitted code can't raise."""
         ...
 
 
 class EngineOverflow(UsageError):
-    """An engine had too little room for contacts: what it gave is wrong. The text names the option to raise."""
+    """An engine had too little room for contacts: its results are wrong. The text names the option to raise."""
 
 
 @dataclasses.dataclass(frozen=True)
 class NoOptions:
-    """The options of an engine that has none."""
+    """The options of an engine without options."""
 
 
 NO_OPTIONS = NoOptions()
@@ -78,10 +78,10 @@ class FlatState(NamedTuple):
 
 
 class CrowdEngine:
-    """What engines share: the model, sizes, and reading."""
+    """The base of engines: the model, sizes, and reading."""
 
     shards = stacks = False
-    options = NoOptions  # the dataclass of what may follow the engine's name
+    options = NoOptions  # the dataclass of the options after the engine's name
 
     def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int):
         self.model, self.number, self.nworld = model, number, nworld
@@ -92,7 +92,7 @@ class CrowdEngine:
         return pose.reshape(self.nworld, 3 * self.number).astype(jnp.float32)
 
     def init(self, position: Array, yaw: Array) -> Any:
-        """As Engine.init; of engines whose state is a FlatState."""
+        """As Engine.init, for engines whose state is a FlatState."""
         qpos = self._pack(position, yaw)
         return FlatState(qpos, jnp.zeros_like(qpos), jnp.zeros_like(qpos))
 
@@ -103,8 +103,9 @@ class CrowdEngine:
     def faults(self, state: Any) -> list[str]:
         """As Engine.faults.
 
-        Of the native engine all that it has simulated counts: MuJoCo puts a state that is not finite back to the
-        model's default, takes a command that is none for 0, and goes on from there; only its count of warnings tells.
+        The native engine reports the failures of everything that it has simulated. MuJoCo puts a state that is not
+        finite back to the model's default, takes a command that is not a number for 0, and goes on from there; only its
+        count of warnings tells.
         """
         speed = np.abs(np.asarray(state.qvel)).max(axis=-1, initial=0.0)
         finite = np.asarray(np.isfinite(np.asarray(state.qpos)).all(axis=-1))
@@ -118,7 +119,7 @@ class CrowdEngine:
         """As Engine.check: this engine finds room as it goes."""
 
     def _warned(self) -> list[str]:
-        """What MuJoCo warned of in each world, in its words."""
+        """MuJoCo's warnings in each world, in its words."""
         return [""] * self.nworld
 
     def place(self, state: Any, who: Array, position: Array) -> Any:
@@ -148,8 +149,8 @@ def read_crowd(qpos: Array, qvel: Array, number: int, boxes: Array) -> CrowdStat
 
 
 def repeat(step: Callable[[T], T], carried: T, number: int) -> T:
-    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, which
-    takes no longer to compile however many steps it has."""
+    """`carried = step(carried)`, `number` times, in jitted code: written out for usual periods, else a loop, whose
+    compilation takes no longer for more steps."""
     if number > _UNROLLED:
         return jax.lax.fori_loop(0, number, lambda _, carried: step(carried), carried)
     for _ in range(number):

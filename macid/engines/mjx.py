@@ -37,8 +37,8 @@ class MjxEngine(CrowdEngine):
         limit = jnp.where(self._model.actuator_forcelimited, self._model.actuator_forcerange[:, 1], jnp.inf)
 
         def one(data, ctrl):
-            # The implicit integrators damp by an actuator's velocity gain, MuJoCo's not where the actuator is at its
-            # limit, MJX's everywhere: so that the engines agree, an actuator at its limit is a constant force here.
+            # The implicit integrators damp by an actuator's velocity gain. MuJoCo's don't where the actuator is at its
+            # limit, MJX's always do. So that the engines agree, an actuator at its limit is a constant force here.
             force = gain * (ctrl - data.qvel)
             at_limit = jnp.abs(force) >= limit
             ctrl = jnp.where(at_limit, jnp.clip(force, -limit, limit) / gain, ctrl)

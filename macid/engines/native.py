@@ -12,7 +12,8 @@ from macid.threads import physics_threads
 
 
 class NativeEngine(CrowdEngine):
-    """Reached from jitted code by a callback. Worlds of a batch equal the same worlds alone, bit for bit."""
+    """The engine is reached from jitted code by a callback. Worlds of a batch equal the same worlds run alone, bit for
+    bit."""
 
     def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int, options: NoOptions = NO_OPTIONS):
         super().__init__(model, number, boxes, nworld)

@@ -1,11 +1,11 @@
 """MuJoCo Warp: the engine for NVIDIA GPUs. It runs on a CPU as well, for tests.
 
 MJX's own way there, `mjx.put_model(model, impl="warp")`, hands 168 fields of all worlds from XLA to the kernels and
-back at every step, and makes each anew. Here Warp keeps them, and what passes at a step is the state and the command.
+back at every step, and allocates each anew. Here Warp keeps them, and only the state and the command pass at a step.
 
-The kernels of a step are captured once, as a graph, when an engine is made, and not when XLA first comes by: within
-XLA's callback Python may collect garbage, and what JAX frees there is forbidden while a CUDA graph is captured, so
-that the process hung. A graph is many times as fast as its kernels one by one. On a GPU equal seeds agree to a
+The kernels of a step are captured once, as a graph, when an engine is made, and not at XLA's first call. Within XLA's
+callback Python may collect garbage, and JAX may then free memory. This is forbidden while a CUDA graph is captured, and
+made the process hang. A graph is many times as fast as its kernels one by one. On a GPU equal seeds agree to a
 tolerance, not bit for bit: contacts are counted in any order.
 """
 
@@ -29,11 +29,11 @@ from macid.engines.base import CrowdEngine, EngineOverflow, FlatState
 from macid.geometry import Array
 from macid.state import parking_place
 
-wp.config.log_level = wp.LOG_ERROR  # at its first use Warp tells of itself, and of each kernel that it compiles
-_ROWS = 4  # of a contact's constraints: condim 3 in a pyramid
+wp.config.log_level = wp.LOG_ERROR  # else Warp prints lines on itself and on each kernel that it compiles
+_ROWS = 4  # rows of a contact's constraints: condim 3 in a pyramid
 _CONTACTS = OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD
 _OVERFLOWS = _CONTACTS | OverflowType.NEFC | OverflowType.NJMAX_NNZ
-MOST_NEWTON = 100  # people
+MOST_NEWTON = 100  # up to this many people "auto" chooses newton
 ITERATIONS = {"newton": 8, "cg": 32}
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
@@ -42,9 +42,9 @@ _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSO
 class WarpOptions:
     """How MuJoCo Warp simulates; an engine's name may give them: `warp:contacts=4,solver=cg`."""
 
-    contacts: int = 2  #: room for contacts, a person: in all worlds together, and as many rows of constraints in each
-    solver: str = "auto"  #: newton (up to MOST_NEWTON people), exact in few iterations; or cg (beyond), cheaper ones
-    iterations: int = 0  #: of the solver, at most; 0: ITERATIONS of the solver
+    contacts: int = 2  #: room per person: for contacts in all worlds together, for these contacts' rows in each world
+    solver: str = "auto"  #: newton: few exact iterations; cg: more, cheaper ones; auto: newton up to MOST_NEWTON people
+    iterations: int = 0  #: of the solver, at most; 0: the solver's number in ITERATIONS
     line_search: int = 16  #: iterations of its line search, at most
     until_done: bool = True  #: the solver stops when all worlds are done (a loop in the graph), not after `iterations`
     graph: str = "engine"  #: when a step's graph is captured: with the engine, at XLA's first "call" (GPU), or "none"
@@ -59,13 +59,13 @@ class WarpOptions:
             raise ValueError(f"solver must be one of auto, {', '.join(_SOLVERS)}, not '{self.solver}'.")
 
     def solving(self, number: int) -> tuple[str, int]:
-        """(solver, iterations at most) of a crowd of `number` people."""
+        """(solver, iterations at most) for a crowd of `number` people."""
         solver = ("newton" if number <= MOST_NEWTON else "cg") if self.solver == "auto" else self.solver
         return solver, self.iterations or ITERATIONS[solver]
 
 
 class WarpEngine(CrowdEngine):
-    """Worlds on JAX's first device. Under vmap, as of several seeds, all their worlds are stepped at once."""
+    """Worlds on JAX's first device. Under vmap, as over several seeds, the worlds of all are stepped at once."""
 
     stacks = True
     options = WarpOptions
@@ -84,7 +84,7 @@ class WarpEngine(CrowdEngine):
             warnings.simplefilter("ignore")  # walls have no friction of their own, see macid.scene.add_boxes
             self._model = mujoco_warp.put_model(own)
         self._model.opt.graph_conditional = options.until_done
-        self._model.opt.warn_overflow = 0  # `check` tells
+        self._model.opt.warn_overflow = 0  # `check` reports it
         self._mujoco, self._batches = own, {}
         self._call = _captured_call if options.graph == "call" and self._device.is_cuda else _call
         self._step = jax.custom_batching.custom_vmap(self._step_worlds)
@@ -112,7 +112,7 @@ class WarpEngine(CrowdEngine):
         return tuple(self._call(self._batch(len(qpos)).handle, qpos, qvel, warmstart, ctrl, output_dims=qpos.shape))
 
     def _step_stacked(self, size, batched, *fields):
-        """The same under vmap: the stacks' worlds are worlds of one batch."""
+        """A step under vmap: the worlds of all stacks become one batch."""
         whole = [
             field if is_so else jax.numpy.broadcast_to(field, (size, *field.shape))
             for field, is_so in zip(fields, batched, strict=True)
@@ -122,7 +122,7 @@ class WarpEngine(CrowdEngine):
 
 
 class _Batch:
-    """`nworld` worlds' arrays on Warp's side, and the graph of their step."""
+    """The arrays of `nworld` worlds on Warp's side, and the graph of their step."""
 
     def __init__(self, mujoco_model, model, device, nworld, number, options):
         self._model, self._options, self._number = model, options, number
@@ -143,17 +143,17 @@ class _Batch:
         self.data.qpos.assign(np.tile(places, (self.data.nworld, 1)).astype(np.float32))
         mujoco_warp.step(self._model, self.data)  # loads the kernels
         wp.synchronize_device()
-        # Relaxed: nothing that another thread asks of CUDA meanwhile is in the way.
+        # Relaxed, so that CUDA calls of another thread don't break the capture.
         with no_collection(), wp.ScopedCapture(capture_mode=wp.CaptureMode.RELAXED) as capture:
             mujoco_warp.step(self._model, self.data)
-        wp.capture_launch(capture.graph)  # makes it ready here, too
+        wp.capture_launch(capture.graph)  # gets the graph ready here, too
         self.data.overflow.zero_()
         wp.synchronize_device()
         return capture.graph
 
     def step(self, given, stepped):
-        """Writes to `stepped`, (qpos, qvel, qacc_warmstart), what follows on `given`, these and ctrl: arrays of Warp's
-        (nworld, 3 K)."""
+        """Steps from `given`, (qpos, qvel, qacc_warmstart, ctrl), and writes the result to `stepped`, (qpos, qvel,
+        qacc_warmstart); all are Warp's arrays (nworld, 3 K)."""
         data = self.data
         for own, array in zip((data.qpos, data.qvel, data.qacc_warmstart, data.ctrl), given, strict=True):
             wp.copy(own, array)
@@ -165,7 +165,7 @@ class _Batch:
             wp.copy(array, own)
 
     def check(self):
-        """Raises EngineOverflow if there was too little room."""
+        """Raises EngineOverflow if a step so far had too little room."""
         what = int(np.bitwise_or.reduce(self.data.overflow.numpy()))
         if what & _OVERFLOWS:
             kind = "contacts" if what & _CONTACTS else "rows of constraints"
@@ -178,7 +178,7 @@ class _Batch:
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Nothing is freed by Python's collector meanwhile."""
+    """Keeps Python's collector from freeing anything within the `with`."""
     gc.collect()
     enabled = gc.isenabled()
     gc.disable()
@@ -190,7 +190,7 @@ def no_collection() -> Iterator[None]:
 
 
 _handles = itertools.count()
-_batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must not keep worlds alive
+_batches = weakref.WeakValueDictionary()  # by handle, weakly: programs that JAX compiled must not keep worlds alive
 
 
 def _step_batch(

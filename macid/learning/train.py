@@ -1,4 +1,5 @@
-"""The training loop: many worlds of a crowd that never stops, rolled out and learned from, all in one jitted step."""
+"""The training loop: many worlds with a crowd that never stops; a rollout and the learning from it are one jitted
+step."""
 
 import contextlib
 import dataclasses
@@ -44,17 +45,17 @@ from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
 _CELL = 1.0  # side of the squares of the map that share a list of goals [m]
-_GOALS = 64  # in such a list
-_STARTS = 32  # crowds from which episodes begin
+_GOALS = 64  # goals in such a list
+_STARTS = 32  # number of crowds from which episodes begin
 
 
-# Named sets of TrainConfig's fields: one that learns more in less time, and the paper's. At 50 decisions a second the
-# paper's lambda credits a decision with what follows within 0.4 s, too short to turn away from somebody; 0.985 makes it
-# 1.3 s.
+# Named sets of TrainConfig's fields: one that learns more in less time, one for GPUs, and the paper's. At 50
+# decisions a second the paper's lambda credits a decision with the rewards of the next 0.4 s, too short to turn away
+# from somebody; 0.985 makes it 1.3 s.
 PRESETS = {
     "fast": {"ppo": learning.PpoConfig(batch=4096, epochs=2, lam=0.985)},
-    # For a GPU: many worlds and short rollouts, whose updates are as many as `fast` has for 30 million agent-steps, of
-    # ten times as many each.
+    # For a GPU: many worlds and short rollouts. In 300 million agent-steps it has as many updates as `fast` has in 30
+    # million, each from ten times as many samples.
     "gpu": {
         "ppo": learning.PpoConfig(batch=32_000, epochs=2, lam=0.985),
         "nworld": 1024,
@@ -62,8 +63,8 @@ PRESETS = {
         "episode": 40,
         "agent_steps": 300_000_000,
     },
-    # All that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes,
-    # constant rate, eq. 2's advantages and eq. 4's returns as they come, and the 41 numbers as they are.
+    # All values that the paper gives (secs. III-C, IV-C): an update after each episode of T = 1000, M = 1000 episodes,
+    # constant rate, eq. 2's advantages and eq. 4's returns without scaling, and the 41 numbers without scaling.
     "paper": {
         "ppo": learning.PpoConfig(
             final_learning_rate=1e-3,
@@ -79,7 +80,7 @@ PRESETS = {
         "episode": 1,
         "agent_steps": 50_000_000,
     },
-    # Of these figures only the batch, the epochs and lambda; what the paper gives of them for PPO. The rest as `fast`.
+    # Two sets with only the paper's batch, epochs and lambda: its method's, then its PPO's. The rest is as in `fast`.
     "paper-batch": {"ppo": learning.PpoConfig()},
     "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
@@ -94,17 +95,17 @@ class TrainConfig:
     seed: int = 0
     engine: str = "native"
     nworld: int = 16
-    period: float = PHYSICS_STEP  # between decisions
-    rollout: int = 125  # decisions between updates
-    episode: int = 8  # rollouts that an episode lasts: 8 x 125 = T = 1000; then a new crowd and new LCFs
-    agent_steps: int = 20_000_000  # budget
+    period: float = PHYSICS_STEP  # between two decisions
+    rollout: int = 125  # decisions between two updates
+    episode: int = 8  # rollouts in an episode: 8 x 125 = T = 1000; then a new crowd and new LCFs
+    agent_steps: int = 20_000_000  # the budget
     reward: RewardWeights = WEIGHTS
     ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
-    inputs: str = "features"  # what the networks see, see macid.policy.INPUTS
+    inputs: str = "features"  # the networks' inputs, see macid.policy.INPUTS
 
     @property
     def name(self) -> str:
-        """The method, and what sets this apart from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
+        """The method, and the differences from the defaults: "macid", "ipo-paper-ppo", "macid-10hz"."""
         presets = [
             name
             for name, fields in PRESETS.items()
@@ -132,7 +133,7 @@ class TrainConfig:
 
 
 def preset(name: str, **fields: Any) -> TrainConfig:
-    """The TrainConfig of the preset `name`, with `fields` changed, its own or its PpoConfig's. Raises ValueError,
+    """The TrainConfig of the preset `name`, with `fields` changed, TrainConfig's or its PpoConfig's. Raises ValueError,
     naming the valid presets."""
     if name not in PRESETS:
         raise ValueError(f"Unknown preset '{name}'. Choose one of {', '.join(PRESETS)}.")
@@ -144,23 +145,23 @@ def preset(name: str, **fields: Any) -> TrainConfig:
 
 
 class Walk(NamedTuple):
-    """Where a training's worlds stand; leading axes (nworld, K)."""
+    """The state of a training's worlds; leading axes (nworld, K)."""
 
     physics: Any
     goals: Any
     lcf: Any
-    reached: Any  #: goals, in this episode so far
-    contact: Any  #: steps of 0.02 s, in this episode so far
+    reached: Any  #: goals reached in this episode so far
+    contact: Any  #: steps of 0.02 s in contact, in this episode so far
 
 
 class TrainState(NamedTuple):
-    """All that a training carries from one iteration to the next."""
+    """The whole state that a training carries from one iteration to the next."""
 
     parameters: Any
     optimizer: Any
-    meta: Any  #: CoPO's distribution of LCFs; None in other methods
+    meta: Any  #: CoPO's distribution of LCFs; None in the other methods
     walk: Walk
-    figures: Any  #: of the last whole episode, or of the first so far: {name: scalar}
+    figures: Any  #: {name: scalar} of the last whole episode, or of the first one so far
     key: Any
     iteration: Any
 
@@ -170,8 +171,9 @@ _SEEDS = TrainState._make((0, 0, 0, 0, 0, 0, None))
 
 
 def _figures(walk):
-    """What the progress tells of an episode, over all people: SR10 [%], who reached a goal with fewer than 10 steps in
-    contact; CP, steps in contact a person; arrived [%], who reached a goal; goals, reached by a person."""
+    """The figures of an episode for the progress, over all people: SR10 [%], the share that reached a goal with fewer
+    than 10 steps in contact; CP, steps in contact per person; arrived [%], the share that reached a goal; goals, the
+    number reached per person."""
     arrived = walk.reached > 0
     return {
         "SR10": 100.0 * jnp.mean(arrived & (walk.contact < 10)),
@@ -184,8 +186,8 @@ def _figures(walk):
 class Trainer:
     """Trains policies. `iterate` is a pure jitted function of one seed's TrainState, `iterate_seeds` of stacked ones.
 
-    devices: to share the work among, where the engine can (`Engine.shards`): of one seed the worlds, of several the
-    seeds, which then run apart. Raises ValueError where it can't.
+    devices: share the work, where the engine can (`Engine.shards`). With one seed its worlds are shared among the
+    devices, with several seeds the seeds, which then run apart. Raises ValueError where it can't.
     """
 
     def __init__(self, config: TrainConfig, devices: Sequence[Any] | None = None):
@@ -197,7 +199,7 @@ class Trainer:
         self.engine = make_engine(config.engine, model, self.number, layout.boxes, config.nworld)
         if devices and not self.engine.shards:
             raise ValueError(f"The engine '{config.engine}' runs on one device, not on {len(devices)}.")
-        self.samples = config.nworld * self.number * config.rollout  # agent-steps an iteration
+        self.samples = config.nworld * self.number * config.rollout  # agent-steps in an iteration
         self.iterations = -(-config.agent_steps // self.samples)
         batches = max(1, self.samples // config.ppo.batch)
         networks = ("policy", *self.method.critics)
@@ -209,7 +211,7 @@ class Trainer:
         cells = round(layout.size / _CELL)
         line = (np.arange(cells) + 0.5) * _CELL - layout.size / 2
         centres = np.repeat(np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2), _GOALS, axis=0)
-        corner = _CELL / 2**0.5  # so that a goal fits from everywhere in the cell
+        corner = _CELL / 2**0.5  # from the cell's middle to a corner, so that a goal fits from everywhere in the cell
         fitting = sample_goals(rng, layout, centres, (GOAL_DISTANCE[0] + corner, GOAL_DISTANCE[1] - corner))
         self._fitting = jnp.asarray(fitting.reshape(cells, cells, _GOALS, 2), jnp.float32)
         self._mesh = jax.sharding.Mesh(np.array(devices), ("device",)) if devices else None
@@ -236,7 +238,7 @@ class Trainer:
         return self._spread_jitted(stacked._replace(iteration=states[0].iteration))
 
     def seed_state(self, states: TrainState, index: int) -> TrainState:
-        """The TrainState at `index` of stacked ones."""
+        """The TrainState at `index` of stacked TrainStates."""
         one = jax.tree.map(lambda leaf: leaf[index], states._replace(iteration=None))
         return one._replace(iteration=states.iteration)
 
@@ -245,7 +247,8 @@ class Trainer:
         return self._spread(states), log
 
     def _spread(self, states):
-        """Stacked TrainStates, each seed or, where they don't divide, each seed's worlds on a device of their own."""
+        """Stacked TrainStates, each seed on a device of its own, or, where the seeds don't divide among the devices,
+        the worlds of each seed shared among all devices."""
         mesh = self._mesh
         if mesh is None:
             return states
@@ -350,15 +353,15 @@ class Trainer:
         return Walk(state, goals, walk.lcf, walk.reached + reached, walk.contact + contact), steps, last
 
     def _estimates(self, parameters, steps, last):
-        """{critic: (advantages, returns)} of a rollout's transitions, each (T, nworld, K)."""
+        """{critic: (advantages, returns)} from a rollout's transitions, each (T, nworld, K)."""
         ppo, estimates = self.config.ppo, {}
         for name in self.method.critics:
             reward, gamma = ppo.reward_scale * steps[name], ppo.gamma
             values, last_value = (mlp(parameters[name], seen)[..., 0] for seen in (steps["critic"], last))
-            if name == "global":  # CoPO's gamma is 1: on a stream without end, the value of what is above the mean
+            if name == "global":  # CoPO's gamma is 1: without an episode's end, the value of the reward above its mean
                 gamma, reward = 1.0, reward - jnp.mean(reward)
             redrawn = steps["arrived"] if name == "individual" else None
-            if ppo.targets == "episode":  # nothing comes after it
+            if ppo.targets == "episode":  # no reward comes after the episode
                 last_value = jnp.zeros_like(last_value)
             advantage, returns = learning.gae(reward, values, last_value, gamma, ppo.lam, redrawn, ppo.arrival)
             if ppo.targets == "episode":
@@ -367,7 +370,7 @@ class Trainer:
         return estimates
 
     def _experience(self, state, walk, steps, last):
-        """What an update learns from, of a rollout's transitions: {name: array (samples, ...)}."""
+        """The samples for an update, from a rollout's transitions: {name: array (samples, ...)}."""
         config = self.config
         estimates = self._estimates(state.parameters, steps, last)
         lcf = jnp.broadcast_to(walk.lcf, steps["individual"].shape)
@@ -386,7 +389,7 @@ class Trainer:
         return jax.tree.map(lambda a: a.reshape(self.samples, *a.shape[3:]), data)
 
     def _iterate(self, state: TrainState):
-        """A rollout and an update: the next TrainState, and what to log (scalars)."""
+        """A rollout and an update: the next TrainState, and scalars to log."""
         config = self.config
         key, key_rollout, key_update, key_begin = jax.random.split(state.key, 4)
         walk, steps, last = self._rollout(state.parameters, state.walk, key_rollout)
@@ -414,7 +417,7 @@ class Trainer:
 
 
 def seeds_of(config: TrainConfig, seeds: int) -> list[TrainConfig]:
-    """`config` with its seed and those that follow, `seeds` in all."""
+    """`config` with its own seed and the following ones, `seeds` in all."""
     return [dataclasses.replace(config, seed=seed) for seed in range(config.seed, config.seed + seeds)]
 
 
@@ -427,21 +430,20 @@ def train(
     minutes_between_checkpoints: float = 2.0,
     tensorboard: bool = False,
 ) -> list[Policy]:
-    """Trains to the budget, `seeds` seeds at once, from the config's on: a list of their Policies.
+    """Trains `seeds` seeds at once to the budget, the config's seed and the following ones; returns their Policies.
 
     Writes policy.npz and .json, config.json and curve.csv in `out`/NAME-SEED (TrainConfig.name), and now and then a
-    checkpoint of all in the first seed's. Several devices share the work, with an engine that can (MJX).
+    checkpoint of all seeds in the first seed's folder. Several devices share the work, with an engine that can (MJX).
 
-    tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board).
-    resume: goes on from the checkpoint, if there is one, exactly where it stopped, and one seed after the other where
-    these were begun so (`train_apart`); Ctrl-C leaves one, once there is something to keep. Raises ValueError if it is
-    another configuration's or another process trains there,
-    FloatingPointError if the training diverges.
+    tensorboard: whether each seed's curve is logged for TensorBoard too (see curves.Board). resume: goes on from the
+    checkpoint, if there is one, exactly where it stopped, and one seed after the other where the seeds were begun so
+    (`train_apart`). Ctrl-C leaves a checkpoint, once there is something to keep. Raises ValueError if the checkpoint
+    has another configuration or another process trains there, FloatingPointError if the training diverges.
 
-    The same config gives the same policy, bit for bit, on as many CPU cores. On another number XLA shares the sums over
-    a batch, in the first update already, among another number of threads, and so rounds them otherwise. The environment
-    variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the policy of
-    two.
+    The same config gives the same policy, bit for bit, on as many CPU cores. On another number of cores XLA shares the
+    sums over a batch among another number of threads, and so rounds them differently, in the first update already. The
+    environment variable NPROC, set before JAX begins, is the number of XLA's threads: with NPROC=2, one core gives the
+    policy of two.
     """
     configs = seeds_of(config, seeds)
     paths = [pathlib.Path(out) / folder_of(each) for each in configs]
@@ -473,8 +475,9 @@ def train_apart(
 ) -> list[pathlib.Path]:
     """Trains `configs` side by side on an executor of several workers; returns their folders.
 
-    Each gives the policy of `train` with that seed alone, bit for bit; seeds that `train` had begun at once go on at
-    once, as one job. Ctrl-C leaves the checkpoints that came last, at most some minutes old. Raises as `train` does.
+    Each config gives the policy of `train` with its seed alone, bit for bit; seeds that `train` had begun at once go on
+    at once, as one job. Ctrl-C leaves the last checkpoints that arrived, at most some minutes old. Raises as `train`
+    does.
     """
     groups, left = [], list(configs)
     while left:
@@ -487,7 +490,7 @@ def train_apart(
                 f"What is in '{pathlib.Path(out) / folder_of(first)}' is of {len(together)} seeds, not {len(group)}: "
                 "go on with all of them, or use another --out."
             )
-        group = group or [first]  # of another configuration, which the training itself refuses
+        group = group or [first]  # a training of another configuration, which it refuses itself
         groups.append(Group(_train_here, tuple(group)))
         left = [each for each in left if each not in group]
 
@@ -498,7 +501,7 @@ def train_apart(
 
 
 def _train_here(configs, out, show):
-    """The `train` of a Group (macid.learning.jobs)."""
+    """The function `train` of a Group (macid.learning.jobs)."""
     train(configs[0], out, len(configs), resume=True, show=show)
 
 
@@ -594,7 +597,7 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
 
 
 class _Noted(msgspec.Struct):
-    """What a checkpoint notes beside a training's state."""
+    """A checkpoint's values beside a training's state."""
 
     configs: list[dict]
     curves: list[list[dict[str, float]]]
@@ -602,8 +605,8 @@ class _Noted(msgspec.Struct):
 
 
 def _restored(found, noted, path, configs, like):
-    """(states, curves, seconds) of the arrays `found` and what was `noted` in the checkpoint `path` of a training of
-    `configs`. like: states of that training. Raises UsageError."""
+    """(states, curves, seconds) from the arrays `found` and the values `noted` in the checkpoint `path` of a training
+    of `configs`. like: states of that training, for their shapes. Raises UsageError."""
     wanted = _named(like)
     if noted["configs"] != [plain(each) for each in configs]:
         raise UsageError(f"'{path}' is of {len(noted['configs'])} seeds, not {len(configs)}. Use another --out.")
@@ -622,7 +625,7 @@ def _restored(found, noted, path, configs, like):
 
 
 def _named(states):
-    """{name: NumPy array} of all leaves of `states`, in their order."""
+    """All leaves of `states`, in their order, as {name: NumPy array}."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(states)
     return {jax.tree_util.keystr(path): _keep(leaf) for path, leaf in leaves}
 

@@ -1,1 +1,2 @@
-"""What computes physics, rays and pictures of many worlds: one file an engine, all of them as `base.Engine` says."""
+"""The engines, which compute physics, rays and pictures of many worlds: one file for each engine, all with the
+interface `base.Engine`."""

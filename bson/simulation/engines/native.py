@@ -10,7 +10,7 @@ from bson.simulation.renderer import Renderer
 from bson.simulation.scene import joint_at
 from macid.threads import physics_threads
 
-_STATE = {  # what the next step depends on: attributes, and fields of MuJoCo's
+_STATE = {  # the state on which the next step depends: attributes, and fields of MuJoCo's
     "qpos": "qpos",
     "qvel": "qvel",
     "_act": "act",
@@ -20,7 +20,7 @@ _STATE = {  # what the next step depends on: attributes, and fields of MuJoCo's
     "mocap_pos": "mocap_pos",
     "mocap_quat": "mocap_quat",
 }
-_ADDRESSES = {  # of joints, in what a warning of MuJoCo's counts
+_ADDRESSES = {  # of joints, by the addresses that MuJoCo's warnings count
     mujoco.mjtWarning.mjWARN_BADQPOS: "jnt_qposadr",
     mujoco.mjtWarning.mjWARN_BADQVEL: "jnt_dofadr",
     mujoco.mjtWarning.mjWARN_BADQACC: "jnt_dofadr",
@@ -28,7 +28,7 @@ _ADDRESSES = {  # of joints, in what a warning of MuJoCo's counts
 
 
 class NativeEngine:
-    """An Engine (bson.simulation.engines.base, where all its calls are told)."""
+    """An Engine; bson.simulation.engines.base documents its calls."""
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -43,12 +43,12 @@ class NativeEngine:
         for name, field in _STATE.items():
             setattr(self, name, self._batch.bind(field))
         self.sensordata = self._batch.bind("sensordata")
-        # Sensors are computed in `forward`, not in each physics step.
+        # Sensors are computed in `forward`, not in every physics step.
         self._sensors_on = int(model.opt.disableflags)
         self._sensors_off = self._sensors_on | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self._flags = self._batch.expand("opt.disableflags")
         self._flags[:] = self._sensors_off
-        self._rays = []  # a site, its body, its directions' components ahead, left and up
+        self._rays = []  # for each: a site, its body, its directions' components ahead, left and up
         self._site_places = self._site_frames = np.empty(0)  # bound once there are rays
         self._forwards = 0
 
@@ -95,7 +95,7 @@ class NativeEngine:
         site, body, ahead, left, up = self._rays[number]
         frame = self._site_frames[ids, site].reshape(-1, 3, 3, 1)
         rays = np.empty((len(ids), ahead.size, 3))
-        for axis in range(3):  # a matrix product may round otherwise for one world than for many
+        for axis in range(3):  # by hand, as a matrix product may round otherwise for one world than for many
             x, y, z = frame[:, axis].swapaxes(0, 1)
             rays[..., axis] = ahead * x + left * y + up * z
         distance, _ = self._batch.ray(self._site_places[ids, site][:, None], rays, bodyexclude=body, ids=ids)
@@ -104,7 +104,7 @@ class NativeEngine:
 
     @functools.cached_property
     def renderer(self) -> Renderer:
-        """Draws what cameras see. Raises macid.drawing.Unavailable without OpenGL."""
+        """The renderer of cameras' pictures. Raises macid.drawing.Unavailable without OpenGL."""
         return Renderer(self.model, self.nworld)
 
     def add_camera(self, name: str) -> int:

@@ -1,10 +1,10 @@
 """The robot's worlds in MuJoCo Warp: physics of many worlds at once on a GPU, and on a CPU for tests.
 
-The engine's functions are those of one world, and pure: jax.vmap makes it many, which Warp then steps together. Warp
-keeps a step's some hundred arrays of all worlds to itself; what passes between JAX and Warp are configuration,
-velocity, command and the boxes' places, once a control step. On a GPU the kernels of a step are captured as a CUDA
-graph, when worlds of a number are first asked for, and not while JAX computes: what JAX frees meanwhile is forbidden
-during a capture.
+The engine's functions are pure functions of one world: jax.vmap maps them over many worlds, which Warp then steps
+together. Warp keeps the hundred or so arrays of a step to itself. Only configuration, velocity, command and the boxes'
+places pass between JAX and Warp, once a control step. On a GPU the kernels of a step are captured as a CUDA graph. The
+capture happens when a number of worlds is first asked for, and not while JAX computes: JAX may free memory then, which
+is forbidden during a capture.
 
 A step agrees with MuJoCo's own to a tolerance, not bit for bit, and on a GPU two runs agree no better than that.
 """
@@ -31,12 +31,12 @@ SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL
 
 @dataclasses.dataclass(frozen=True)
 class WarpConfig:
-    """What the engine may take: limits of the solver, and room for contacts.
+    """The engine's limits: of the solver, and room for contacts.
 
-    contacts: of all worlds together, per world, beside 64; people and a robot in a crowd have a dozen. rows: of one
-    world's constraints, per person, beside 64. Too few of either is an error where a world needs more, and the error
-    tells which. tolerance: of the solver; Warp's own, 1e-6, moves a robot whose wheels slip by millimetres. graph:
-    whether a GPU's kernels are captured as a CUDA graph.
+    contacts: room for contacts in all worlds together is 64 plus this number per world; people and a robot in a crowd
+    have a dozen. rows: room for constraint rows in each world is 64 plus this number per person. Where a world needs
+    more of either, the error tells which. tolerance: of the solver; Warp's default, 1e-6, displaces a robot with
+    slipping wheels by millimetres. graph: whether a GPU's kernels are captured as a CUDA graph.
     """
 
     solver: str = "newton"
@@ -71,7 +71,7 @@ def _warp():
     import warp
     from mujoco.mjx.third_party import mujoco_warp
 
-    warp.config.log_level = logging.ERROR  # it would tell of itself, and of each kernel that it compiles
+    warp.config.log_level = logging.ERROR  # Warp would print a line on itself, and one for each kernel that it compiles
 
     floats, vectors, quaternions = (warp.array(dtype=kind, ndim=2) for kind in (float, warp.vec3, warp.quat))
     given = dict.fromkeys(("qpos", "qvel", "warmstart", "ctrl"), floats)
@@ -112,14 +112,14 @@ def _warp():
 
 
 _handles = itertools.count()
-_batches = weakref.WeakValueDictionary()  # by handle: what JAX compiled must not keep worlds alive
+_batches = weakref.WeakValueDictionary()  # by handle, weakly: programs that JAX compiled must not keep worlds alive
 
 
 class WarpEngine:
-    """Physics of the worlds of one MjSpec: functions of one world, to be mapped.
+    """Physics of the worlds of one MjSpec: functions of one world, for jax.vmap.
 
-    model: the MjModel, with the solver's limits of `config`. people: how many pedestrians come first in it. Raises
-    UsageError where Warp is not installed, ValueError for a model that it lacks something for.
+    model: the MjModel, with the solver's limits of `config`. people: the number of pedestrians, the first bodies of the
+    model. Raises UsageError where Warp is not installed, ValueError for a model with features that MJX-Warp lacks.
     """
 
     def __init__(self, spec: mujoco.MjSpec, people: int, config: Any = None):
@@ -137,10 +137,10 @@ class WarpEngine:
             warnings.simplefilter("ignore")  # walls have no friction of their own, see macid.scene.add_boxes
             self._model = mujoco_warp.put_model(model)
         self._model.opt.tolerance.fill_(config.tolerance)
-        self._model.opt.warn_overflow = 0  # `explain` tells
+        self._model.opt.warn_overflow = 0  # `explain` reports it
         boxes = np.flatnonzero(model.body_mocapid >= 0)
         self._heights = jnp.asarray(model.body_pos[boxes[np.argsort(model.body_mocapid[boxes])], 2], jnp.float32)
-        self._made = {}  # by how many worlds
+        self._made = {}  # {number of worlds: its _Batch}
         self._step = functools.cache(lambda number: _mapped(functools.partial(self._step_worlds, number)))
         self._sense = _mapped(self._sense_worlds)
 
@@ -153,22 +153,22 @@ class WarpEngine:
         """`number` physics steps of a world in `motion` among `boxes` (B, 5): the Motion after them, the configuration
         after each (number, nq), and `overflow`.
 
-        overflow: 0, or the bits of what found no room (Warp's OverflowType); `explain` puts them into words.
+        overflow: 0, or bits (Warp's OverflowType) that name what ran out of room; `explain` puts them into words.
         """
         qpos, qvel, warmstart, record, overflow = self._step(number)(*motion, *self._placed(boxes))
         return Motion(qpos, qvel, warmstart, motion.ctrl), record, overflow & _LOST
 
     def sensordata(self, motion: Any, boxes: Any) -> Any:
-        """What MuJoCo's own sensors (IMU) read in a world: (nsensordata,)."""
+        """The readings (nsensordata,) of MuJoCo's own sensors (the IMU) in a world."""
         (read,) = self._sense(*motion, *self._placed(boxes))
         return read
 
     def contacts(self, nworld: int) -> int:
-        """For how many contacts `nworld` worlds have room together."""
+        """The number of contacts for which `nworld` worlds together have room."""
         return 64 + int(np.ceil(self.config.contacts * nworld))
 
     def explain(self, overflow: int) -> str:
-        """The bits `overflow` of a step in one sentence."""
+        """The bits `overflow` of a step, in words, as one sentence."""
         told = []
         if overflow & _ROWS:
             told.append(
@@ -179,7 +179,7 @@ class WarpEngine:
         return "Physics ran out of room: " + "; ".join(told) + "."
 
     def _placed(self, boxes):
-        """Where Warp has `boxes` (B, 5): their places (B, 3) and quaternions (B, 4)."""
+        """The poses of `boxes` (B, 5) for Warp: places (B, 3) and quaternions (B, 4)."""
         half = boxes[:, 4] / 2
         zero = jnp.zeros_like(half)
         quaternions = jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)], axis=-1)
@@ -202,8 +202,8 @@ class WarpEngine:
 
 
 def _mapped(many):
-    """`many`, a function of worlds, arrays with a leading axis (nworld,), as one of a world, that jax.vmap maps to it,
-    mapped once or more often."""
+    """A function of one world, which becomes `many` under jax.vmap, once or nested. many: a function of many worlds,
+    whose arrays have a leading axis (nworld,)."""
 
     def spread(size, batched, fields):
         return [
@@ -232,7 +232,7 @@ def _mapped(many):
 
 
 class _Batch:
-    """`nworld` worlds' arrays on Warp's side, and the graphs of what is done with them."""
+    """The arrays of `nworld` worlds on Warp's side, and the graphs of the kernels that work on them."""
 
     def __init__(self, engine, nworld):
         self._warp, self._mujoco, _, _ = _warp()
@@ -251,7 +251,7 @@ class _Batch:
         _batches[self.handle] = self
 
     def _captured(self, act, model):
-        """The CUDA graph of act(model, data)."""
+        """The CUDA graph of the call act(model, data)."""
         act(model, self._data)  # loads the kernels
         self._warp.synchronize_device()
         from macid.engines.warp import no_collection
@@ -268,7 +268,7 @@ class _Batch:
             self._warp.copy(to, array)
 
     def step(self, number, given, after):
-        """`number` steps on `given`, Warp's arrays; what comes of it goes to `after`."""
+        """Takes `number` steps from `given`, Warp's arrays; writes the result to `after`."""
         *motion, record, overflow = after
         with self._lock:  # on a CPU JAX may call from several threads
             self._load(given)
@@ -284,7 +284,7 @@ class _Batch:
                 self._warp.copy(to, array)
 
     def sense(self, given, sensordata):
-        """What MuJoCo's sensors read in `given`, Warp's arrays, goes to `sensordata`."""
+        """Writes the readings of MuJoCo's sensors in the state `given`, Warp's arrays, to `sensordata`."""
         with self._lock:
             self._load(given)
             if self._forward is None:
@@ -294,6 +294,6 @@ class _Batch:
             self._warp.copy(sensordata, self._data.sensordata)
 
 
-# Of Warp's OverflowType: what loses contacts or rows (a solver that stops at its limit loses nothing).
+# Bits of Warp's OverflowType that lose contacts or rows (a solver that stops at its limit loses nothing).
 _ROWS = 1 << 0 | 1 << 1
 _LOST = _ROWS | 1 << 2 | 1 << 3 | 1 << 4
