@@ -15,6 +15,7 @@ import sys
 import sysconfig
 import traceback
 import types
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -166,7 +167,8 @@ def own_module(name: str) -> str:
     "" for other names."""
     module, colon, _ = name.rpartition(":") if ":" in name else (name, "", "")
     if module.endswith(".py"):
-        return f"own_{pathlib.Path(module).stem}"
+        path = pathlib.Path(module)
+        return f"own_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"  # others may have a file of this name
     return module if colon else ""
 
 

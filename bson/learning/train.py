@@ -45,7 +45,7 @@ from macid.learning.curves import (
 )
 from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES, write_network
-from macid.registry import Kind, own_module
+from macid.registry import Kind
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
@@ -126,8 +126,9 @@ class TrainConfig:
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
             paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
-        own = own_module(self.algo).removeprefix("own_").rpartition(".")[2]
-        parts = [own or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        own = self.algo.rpartition(":")[0]  # file.py or package.module
+        called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
+        parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 

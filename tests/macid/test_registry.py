@@ -6,7 +6,7 @@ import pathlib
 import pytest
 
 from macid.files import UsageError
-from macid.registry import Failed, Kind
+from macid.registry import Failed, Kind, code_file
 
 OWN = """
 import helper_beside
@@ -84,3 +84,12 @@ def test_a_kind_of_data_files_alone_takes_no_code(folder):
     for name in ("own_doubler.py", "own_doubler:double", "attic"):
         with pytest.raises(UsageError, match=f"Unknown map '{name}'. Choose one of hall, or a .toml or .yaml file."):
             kind.load(name)
+
+
+def test_two_files_of_one_name_are_two(folder):
+    (folder / "other").mkdir()
+    (folder / "other" / "own_doubler.py").write_text("def double(x):\n    return 3 * x")
+    first, second = DOUBLER.load("own_doubler.py"), DOUBLER.load("other/own_doubler.py")
+    assert (first(1), second(1)) == (2, 3)
+    assert [code_file(name).parent.name for name in ("own_doubler.py", "other/own_doubler.py")][1] == "other"
+    assert code_file("own_doubler.py").read_text() == OWN
