@@ -99,12 +99,11 @@ class Kind(Generic[T]):
 
     def own_object(self, name: str) -> T:
         """The object that `module:attribute` or `file.py[:attribute]` names, checked. Raises as `load`."""
-        module, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
-        if (module or name).endswith(".py"):
-            path = module or name
+        module, attribute = parts(name)
+        if module.endswith(".py"):
             if not (attribute or self.attribute):
-                raise self.error(f"{self._called(name)}: say which {self.own} of the file: '{path}:NAME'.")
-            found = self._from_file(path, attribute or self.attribute, name)
+                raise self.error(f"{self._called(name)}: say which {self.own} of the file: '{module}:NAME'.")
+            found = self._from_file(module, attribute or self.attribute, name)
         elif attribute:
             found = self._from_module(module, attribute, name)
         else:
@@ -162,14 +161,21 @@ class Kind(Generic[T]):
         return found
 
 
+def parts(name: str) -> tuple[str, str]:
+    """(module or file, attribute) of `module:attribute` or `file.py[:attribute]`; the attribute is "" where none is
+    given."""
+    module, colon, attribute = name.rpartition(":")
+    return (module, attribute) if colon else (name, "")
+
+
 def own_module(name: str) -> str:
     """The name in sys.modules of the module that `module:attribute` or `file.py[:attribute]` names, once it is loaded;
     "" for other names."""
-    module, colon, _ = name.rpartition(":") if ":" in name else (name, "", "")
+    module, _ = parts(name)
     if module.endswith(".py"):
         path = pathlib.Path(module)
         return f"own_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"  # others may have a file of this name
-    return module if colon else ""
+    return module if ":" in name else ""
 
 
 def code_file(name: str) -> pathlib.Path | None:

@@ -83,7 +83,9 @@ def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     if name in BUILT_IN:
         return _Factory(AGENTS.load(name), name)
     found = AGENTS.load(name)
-    return learned.load(name, True) if untrained and isinstance(found, learned.Factory) else found
+    if isinstance(found, learned.Factory):
+        found.untrained = untrained
+    return found
 
 
 def agent_label(agent: Any) -> str:

@@ -160,7 +160,7 @@ class Factory:
         recipe: dict[str, Any],
         untrained: bool,
     ):
-        self._name, self._untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
+        self._name, self.untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
         self._trained = functools.cache(lambda: _trained(recipe, path))
         robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
         self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
@@ -178,7 +178,7 @@ class Factory:
             _lidar(setting)
         except Unsuited as error:
             raise Unsuited(f"Agent '{self._name}' {error}") from None
-        if self._untrained:
+        if self.untrained:
             return
         before, now = _compared(self._trained(), setting)
         if before:

@@ -19,7 +19,7 @@ from bson.task import TaskConfig
 from macid.executors import Carried, Executor, carry_files, carry_module
 from macid.files import UsageError
 from macid.maps import map_files
-from macid.registry import own_module
+from macid.registry import own_module, parts
 
 _TELL = 0.2  # between messages on control steps [s]
 _MODEL = frozenset(
@@ -121,9 +121,10 @@ def carried_agent(agent: Any) -> Carried:
 def carried_code(name: str, attribute: str = "") -> Carried:
     """The files of the user's own code `name` that travel, as in carried_agent; none for another name. attribute: the
     attribute for a file that is given without one."""
-    module, path = own_module(name), pathlib.Path(name.rpartition(":")[0] if ":" in name else name)
-    found = getattr(sys.modules.get(module), name.rpartition(":")[2] if ":" in name else attribute, None)
-    return carry_module(module, getattr(found, "files", ()), path.parent if path.suffix == ".py" else None)
+    module, (file, given) = own_module(name), parts(name)
+    found = getattr(sys.modules.get(module), given or attribute, None)
+    top = pathlib.Path(file).parent if file.endswith(".py") else None
+    return carry_module(module, getattr(found, "files", ()), top)
 
 
 def carried_task(config: TaskConfig) -> Carried:
