@@ -30,6 +30,15 @@ def physics_steps(period: float) -> int:
 FAR_AWAY = 1000.0
 
 
+class Traits(NamedTuple):
+    """What sets people's bodies and wishes apart: arrays (..., K), or None where everybody is as the paper has it."""
+
+    radius: Any = None  #: [m]; None: RADIUS
+    preferred_speed: Any = None  #: at which a person walks where nobody is in its way [m/s]; None: its model's own
+    max_speed: Any = None  #: [m/s]; None: MAX_SPEED
+    group: Any = None  #: int: people of one number mean to stay together; None: everybody walks alone
+
+
 class CrowdState(NamedTuple):
     """A crowd at one instant, in the world frame. NumPy or JAX arrays, with any leading axes."""
 
@@ -38,6 +47,12 @@ class CrowdState(NamedTuple):
     velocity: Any  #: (..., K, 2) [m/s]
     yaw_rate: Any  #: (..., K) [rad/s]
     contact: Any  #: (..., K) bool: closer than CONTACT_GAP to a person, an obstacle or a wall
+    traits: Traits = Traits()  #: of each person; no leaves, and so nothing to trace, where all are the paper's
+
+    @property
+    def radius(self) -> Any:
+        """Of each person (..., K), or one number for all [m]."""
+        return RADIUS if self.traits.radius is None else self.traits.radius
 
 
 def parking_place(index: Array) -> np.ndarray:
