@@ -156,6 +156,24 @@ def goal_beside(
     return goal if found is None else found
 
 
+def shared_goals(
+    layout: Layout, group: np.ndarray, places: np.ndarray, goals: np.ndarray, radius: float = RADIUS, same: bool = False
+) -> np.ndarray:
+    """`goals` (K, 2) [m] of people at `places` (K, 2), with everybody's goal beside that of the first person of its
+    `group` (K,); with `same`, it is that goal."""
+    goals, sides = goals.copy(), {}
+    for person in np.flatnonzero(group != np.arange(len(group))):
+        first = group[person]
+        if same:
+            goals[person] = goals[first]
+            continue
+        sides[first] = -sides.get(first, -1)
+        ahead = math.atan2(*(goals[first] - places[first])[::-1])
+        apart = max(sum(APART) / 2, 2 * radius + _ROOM / 2)
+        goals[person] = goal_beside(goals[first], ahead, apart, sides[first], layout, radius)
+    return goals
+
+
 def make_traits(
     radius: float = RADIUS,
     preferred_speed: np.ndarray | None = None,
