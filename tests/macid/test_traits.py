@@ -31,7 +31,7 @@ def slim(number, radius=SLIM, leading=()):
     return Traits(radius=jnp.full((*leading, number), radius, jnp.float32))
 
 
-@pytest.mark.parametrize("model", ["orca", "social-force-bodies", "macid"])
+@pytest.mark.parametrize("model", ["social-force-bodies", "macid"])
 def test_the_papers_traits_given_outright_change_no_bit(model):
     layout = random_layout(np.random.default_rng(0), 3, 16.0)
     config = CrowdConfig(number=10, period=0.1, duration=1.0, goal_distance=(4.0, 9.0))
@@ -45,10 +45,9 @@ def test_the_papers_traits_given_outright_change_no_bit(model):
 
 
 @pytest.mark.parametrize("radius", [SLIM, 0.45])
-@pytest.mark.parametrize("name", ["native", "mjx"])
-def test_people_who_push_each_other_settle_two_radii_apart_and_touch(name, radius):
+def test_people_who_push_each_other_settle_two_radii_apart_and_touch(radius):
     model = scene.crowd_spec(OPEN, 2, PersonConfig(radius=radius)).compile()
-    engine = make_engine(name, model, 2, OPEN.boxes, 1)
+    engine = make_engine("native", model, 2, OPEN.boxes, 1)
     state = engine.init(np.array([[[-1.0, 0.0], [1.0, 0.0]]]), np.zeros((1, 2)))
     command = jnp.asarray([[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]])
 
