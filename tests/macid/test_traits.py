@@ -110,7 +110,7 @@ def test_people_are_placed_with_a_velocity_and_a_yaw(name):
 
 def test_rays_agree_with_mj_ray_among_slim_people():
     rng = np.random.default_rng(7)
-    layout, number = random_layout(rng, 8, size=14.0), 20
+    layout, number = random_layout(rng, 4, size=14.0), 20
     place = sample_people(rng, layout, number, radius=SLIM)
     velocity, yaw = rng.normal(size=(number, 2)), rng.uniform(-np.pi, np.pi, number)
     state = CrowdState(place, yaw, velocity, np.zeros(number), np.zeros(number, bool))
