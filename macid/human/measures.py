@@ -21,7 +21,7 @@ TAU_EDGES = np.concatenate([np.arange(0.2, 1.0, 0.2), np.arange(1.0, 3.0, 0.25),
 TAU_FAR = (4.0, 8.0)  # where g is 1 [s]
 SOON = 2.0  # [s]
 CLOSE = (0.7, 0.4)  # [m]
-SHIFTS = 20  # other times that each instant is paired with
+SHIFTS = 10  # other times that each instant is paired with
 COMPANION_DISTANCE, COMPANION_SHARE = 1.5, 0.7  # within it [m], for this share of the time that both are there
 COMPANION_TIME, COMPANION_SPEED = 1.6, 0.6  # least time [s], and greatest mean difference of velocities [m/s]
 DENSITIES = (0.8, 1.2, 1.6, 2.0, 2.4)  # the middles of the fundamental diagram's bins [1/m2]
@@ -178,14 +178,12 @@ def _counted(times):
     return (np.searchsorted(times, _HIGH) - np.searchsorted(times, _LOW)).astype(float)
 
 
-def meetings(position: np.ndarray, period: float, known: np.ndarray | None = None) -> Meetings:
-    """Pairs of people in one scene, from positions (T, K, 2) [m]. known: (K, K) bool, pairs who are no strangers
-    (default: `companions`). Both pairs, a with b and b with a, count."""
-    velocity = velocities(position, period)
-    step = round(STRIDE / period)
-    known = companions(position, period) if known is None else known
-    position, velocity = position[::step], velocity[::step]
-    there = [np.flatnonzero(~np.isnan(row)) for row in velocity[..., 0]]
+def meetings(position: np.ndarray, velocity: np.ndarray, known: np.ndarray) -> Meetings:
+    """Pairs of people in one scene, from everybody's positions and velocities (T, K, 2) [m, m/s] every STRIDE, NaN where
+    somebody is not there. known: (K, K) bool, pairs who are no strangers. Both pairs, a with b and b with a, count.
+
+    Strangers who overlap are on a collision course, too, but have no time to collision."""
+    there = [np.flatnonzero(row) for row in ~np.isnan(position[..., 0] + velocity[..., 0])]
     instants = len(there)
     together, soon, people_time, close = np.zeros(len(_LOW)), 0.0, 0.0, np.zeros(len(CLOSE))
     for at, who in enumerate(there):
@@ -194,27 +192,26 @@ def meetings(position: np.ndarray, period: float, known: np.ndarray | None = Non
         place, speed = position[at, who], velocity[at, who]
         offset = place[None] - place[:, None]
         times = time_to_collision(offset, speed[None] - speed[:, None])
-        times[known[np.ix_(who, who)]] = np.inf
-        together += _counted(times)
-        soon += (times.min(axis=1) < SOON).sum()
-        distance = np.linalg.norm(offset, axis=-1)
+        friends, distance = known[np.ix_(who, who)], np.linalg.norm(offset, axis=-1)
         np.fill_diagonal(distance, np.inf)
+        times[friends] = np.inf
+        together += _counted(times)
+        soon += ((times < SOON) | ((distance < CENTRES) & ~friends)).any(axis=1).sum()
         close += [(distance.min(axis=1) < bound).sum() for bound in CLOSE]
         people_time += len(who)
     apart = np.zeros(len(_LOW))
     for shift in range(1, SHIFTS + 1):
         by = instants * shift // (SHIFTS + 1)
         for at, who in enumerate(there):
-            other = there[(at + by) % instants]
-            if not (len(who) and len(other)):
-                continue
             then = (at + by) % instants
-            times = time_to_collision(
-                position[then, other][None] - position[at, who][:, None],
-                velocity[then, other][None] - velocity[at, who][:, None],
-            )
-            times[who[:, None] == other] = np.inf
-            apart += _counted(times)
+            other = there[then]
+            if len(who) and len(other):
+                times = time_to_collision(
+                    position[then, other][None] - position[at, who][:, None],
+                    velocity[then, other][None] - velocity[at, who][:, None],
+                )
+                times[who[:, None] == other] = np.inf
+                apart += _counted(times)
     return Meetings(together, apart / SHIFTS, people_time, soon, close)
 
 
