@@ -38,7 +38,10 @@ MEASURES = (
     Measure("within", "SD within a person", "m/s", 2, "open"),
     *(Measure(f"E{tau:g}", f"anticipation E({tau:g} s)", "", 2, "open") for tau in measures.TAUS),
     Measure("soon", f"share of time with a collision with a stranger within {measures.SOON:g} s", "%", 1, "open"),
-    *(Measure(f"close{near:g}", f"share of time within {near:g} m of somebody", "%", 1, "open") for near in measures.CLOSE),
+    *(
+        Measure(f"close{near:g}", f"share of time within {near:g} m of somebody", "%", 1, "open")
+        for near in measures.CLOSE
+    ),
     Measure("straightness", "displacement / path", "", 3, "open"),
     Measure("ADE", "mean distance from the real person", "m", 2, "open"),
     Measure("FDE", "distance where the real person was last seen", "m", 2, "open"),
@@ -64,7 +67,9 @@ def rounded(value: float, digits: int = 4) -> float | None:
     return round(float(value), digits) if np.isfinite(value) else None
 
 
-def open_figures(scenes: list[Scene], played: Played, part: slice | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+def open_figures(
+    scenes: list[Scene], played: Played, part: slice | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """(values, curves) of `scenes` as `played`. part: a part of each scene's samples, as a share of it, of which alone
     they are."""
     real = as_they_were(scenes)

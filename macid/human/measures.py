@@ -17,7 +17,9 @@ STANDS = 0.3  # people whose mean speed is below it stand [m/s]
 CENTRES = 0.4  # the centres' distance at which two discs collide [m]
 TAUS = (0.5, 1.0, 2.0)  # the times to collision whose E is told [s]
 TAU_SHARE = 0.2  # E(tau) is of times to collision within this share of tau
-TAU_EDGES = np.concatenate([np.arange(0.2, 1.0, 0.2), np.arange(1.0, 3.0, 0.25), np.arange(3.0, 8.01, 0.5)])  # E's curve
+TAU_EDGES = np.concatenate(
+    [np.arange(0.2, 1.0, 0.2), np.arange(1.0, 3.0, 0.25), np.arange(3.0, 8.01, 0.5)]
+)  # E's curve
 TAU_FAR = (4.0, 8.0)  # where g is 1 [s]
 SOON = 2.0  # [s]
 CLOSE = (0.7, 0.4)  # [m]
@@ -244,16 +246,18 @@ def crossing_times(position: np.ndarray, period: float, y: float, way: int = -1)
     return np.sort((at - b / (a - b)) * period)
 
 
-def flow(times: np.ndarray, width: float, crowd: int | None = None) -> float:
-    """Persons/m/s through an exit of `width` [m] by their `times` (N,) [s], sorted, from when 10% of the `crowd`
-    (default: N) have gone until 80% have: neither the first, who find it free, nor the last, who find no queue.
+def flow(times: np.ndarray, width: float, crowd: int, until: float) -> float:
+    """Persons/m/s through an exit of `width` [m] by their `times` (N,) [s], sorted, from when 10% of the `crowd` have
+    gone until 80% have: neither the first, who find it free, nor the last, who find no queue.
 
-    Of a crowd of whom fewer than 80% get through, it is until the last of those; NaN where fewer than 20% do."""
-    crowd = len(times) if crowd is None else crowd
-    first, last = round(0.1 * crowd), min(round(0.8 * crowd), len(times) - 1)
-    if last - first < 0.1 * crowd or last <= first:
-        return float("nan")
-    return float((last - first) / (times[last] - times[first]) / width)
+    Of a crowd of whom fewer have gone when its time is over, it is `until` then [s]; of one of whom fewer than 10%
+    have, from the beginning."""
+    first, last = round(0.1 * crowd), round(0.8 * crowd)
+    if len(times) > last:
+        return float((last - first) / (times[last] - times[first]) / width)
+    if len(times) > first:
+        return float((len(times) - 1 - first) / (until - times[first]) / width)
+    return float(len(times) / until / width)
 
 
 def lane_order(position: np.ndarray, towards: np.ndarray) -> float:

@@ -147,7 +147,9 @@ class Stage:
 
     def _run(self, timed):
         worlds = len(self.casts)
-        start = self.engine.init(jnp.broadcast_to(self._away, (worlds, self.bodies, 2)), jnp.zeros((worlds, self.bodies)))
+        start = self.engine.init(
+            jnp.broadcast_to(self._away, (worlds, self.bodies, 2)), jnp.zeros((worlds, self.bodies))
+        )
         nobody = jnp.full((worlds, self.number), _NOBODY), jnp.zeros((worlds, self.number), bool)
 
         def kept(carried, timed):
