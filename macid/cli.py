@@ -396,20 +396,20 @@ def parser() -> Parser:
         "measure", help="a pedestrian model beside real people, by many measures", formatter_class=HelpFormatter
     )
     measure.add_argument("--pedestrian", type=name, required=True, help=f"{models}; or a file of people's walks")
-    measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files: open scenes are replayed")
-    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's own, or 0.35)")
+    measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files, to be replayed")
+    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's, or 0.35)")
     measure.number("--seeds", int, 1, MOST_SEEDS, default=3, help="a method's policies, or runs")
     measure.number(
         "--lcf", float, -10.0, 10.0, nargs="+", default=None, help="everybody's LCF, or a range (default: Table II's)"
     )
-    measure.add_argument("--matched", action="store_true", help="in open scenes, everybody at its real one's mean speed")
+    measure.add_argument("--matched", action="store_true", help="in open scenes, at the real people's mean speeds")
     measure.add_argument(
         "--preferred-speed", type=name, default=None, help="a number [m/s], or human (default: the policy's own)"
     )
     measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
     measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
     measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
-    measure.add_argument("--out", type=name, default="macid-human", help="folder for measured.json, index.html, film.webm")
+    measure.add_argument("--out", type=name, default="macid-human", help="folder: measured.json, index.html, film.webm")
     measure.set_defaults(run=_human_measure)
     return root
 

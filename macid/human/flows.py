@@ -4,11 +4,12 @@ The corridors lie along y, and x is from 0 to the width, as in the lab's files. 
 
 | what | where | who |
 |---|---|---|
-| exit | a corridor of 1.8 m (exit 1.2 m) and of 3 m (exit 2 m), as uo-180-180-120 and uo-300-300-200 | 80 and 120 people at START_DENSITY before the exit, up to 60 s |
+| exit | corridors of 1.8 m (exit 1.2 m) and 3 m (exit 2 m), as the lab's | 80, 120 people before it, up to 60 s |
 | one way | a ring of 8 m, 2 m wide | as many as the fundamental diagram's densities are, 8 s to settle, then 12 s |
-| two ways | a corridor of 3.6 m, 8 m long | 18 and 36 a side, who come towards each other, up to 40 s |
+| two ways | a corridor of 3.6 m, 8 m long | 18 and 36 a side, towards each other, up to 40 s |
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -45,8 +46,8 @@ class Runs(NamedTuple):
 
 def lattice(number: int, width: float, length: float, radius: float, gap: float = WALL_ROOM) -> np.ndarray | None:
     """Places (number, 2) [m] in a corridor, x in (0, width), y in (0, length), which is a ring: rows along y, every
-    other one shifted by half a step, of which the arrangement with the most room; `gap` [m] from walls, or none where there is no room else. None where
-    bodies of `radius` [m] have no room there at all."""
+    other one shifted by half a step, of which the arrangement with the most room; `gap` [m] from walls, or none where
+    there is no room else. None where bodies of `radius` [m] have no room there at all."""
     best, room = None, 0.0
     edge = radius + gap
     usable = width - 2 * edge
@@ -111,7 +112,7 @@ def exit_cast(place: Bottleneck, number: int, body: Body, rng: np.random.Generat
     places = lattice(number, place.width, length, body.radius)
     if places is None:
         raise ValueError(f"no room for {number} people of radius {body.radius:g} m before an exit")
-    places = jittered(rng, places, body.radius, length) + [0.0, place.exit_y + body.radius + 0.2]
+    places = jittered(rng, places, body.radius, length) + np.array([0.0, place.exit_y + body.radius + 0.2])
     room = max(0.0, place.exit / 2 - body.radius)
     middle = place.width / 2
     goals = np.stack([middle + np.clip(places[:, 0] - middle, -room, room), np.full(number, place.exit_y - BEYOND)], -1)
@@ -129,8 +130,8 @@ def ring_cast(density: float, body: Body, rng: np.random.Generator, speed: Calla
     places = lattice(number, RING_WIDTH, RING, body.radius)
     if places is None:
         return None
-    places = jittered(rng, places, body.radius, RING) - [0.0, RING / 2]
-    return _cast(places, places - [0.0, 10.0], np.zeros((number, 2)), speed(number), SETTLES + RUNS)
+    places = jittered(rng, places, body.radius, RING) - np.array([0.0, RING / 2])
+    return _cast(places, places - np.array([0.0, 10.0]), np.zeros((number, 2)), speed(number), SETTLES + RUNS)
 
 
 def two_ways_layout() -> Layout:
@@ -187,7 +188,8 @@ def flows(
     for place, number in zip(EXIT_PLACES, EXIT_PEOPLE, strict=True):
         tell(f"exit of {place.exit:g} m: {number} people")
         layout = exit_layout(place, number / (START_DENSITY * place.width) + 2.0)
-        for index, (walks,) in enumerate(play(layout, lambda rng, own: [exit_cast(place, number, body, rng, own)])):
+        crowd = functools.partial(exit_cast, place, number, body)
+        for index, (walks,) in enumerate(play(layout, lambda rng, own, crowd=crowd: [crowd(rng, own)])):
             times = measures.crossing_times(walks, LAB_PERIOD, place.exit_y)
             values[index][f"exit{place.exit:g}"] = measures.flow(times, place.exit, number, LONGEST)
             smooth[index].append(measures.people(walks, LAB_PERIOD).smoothness)

@@ -16,7 +16,7 @@ from macid.files import UsageError, check_folder, new_folder, versions, write_js
 from macid.geometry import Array
 from macid.human import data, figures, flows, replay
 from macid.human.data import Walks
-from macid.human.replay import Played, Scene
+from macid.human.replay import Scene
 from macid.human.stage import Body
 from macid.pedestrians import Controller, is_learned, make_controller
 from macid.policy import policy_names
@@ -34,8 +34,8 @@ class Options:
     """How a model is measured.
 
     radius [m], preferred_speed, max_speed [m/s], lcf and period [s]: None for those that a learned model was trained
-    with, as its card has them, and for rules, and where it has none, the paper's radius and speeds, Table II's LCFs, and
-    a decision every physics step. preferred_speed: as of macid.crowd.CrowdConfig. matched: everybody walks at its real
+    with, as its card has them. For rules, and where it has none, they are the paper's radius and speeds, Table II's
+    LCFs, and a decision every physics step. preferred_speed: as of macid.crowd.CrowdConfig. matched: everybody walks at its real
     one's mean speed, in open scenes. seeds: of a learned method the first policies, `name-0` and so on; else of chance.
     """
 
@@ -73,7 +73,9 @@ class Troupe:
         commands = []
         for number, controller in enumerate(self._controllers):
             rows = slice(number * each, (number + 1) * each)
-            commands.append(controller(jax.tree.map(lambda a, rows=rows: a[rows], state), boxes, goals[rows], lcf[rows]))
+            commands.append(
+                controller(jax.tree.map(lambda a, rows=rows: a[rows], state), boxes, goals[rows], lcf[rows])
+            )
         return jnp.concatenate(commands)
 
 
@@ -120,7 +122,7 @@ def measure(
     known = figures.shipped()
     people = known if not walks or same_files(walks, known) else figures.people(walks)
     document = {
-        "pedestrian": pedestrian,
+        "pedestrian": pathlib.Path(pedestrian).stem if is_recording(pedestrian) else pedestrian,
         **told,
         "data": [walk.name for walk in walks],
         "people_from": "shipped figures" if people is known else "these files",
@@ -137,7 +139,7 @@ def measure(
             if page and scenes:
                 film = target / FILM
                 show(f"film: {film}")
-                pages.film(film, scenes, played[0], pedestrian, document.get("radius", RADIUS))
+                pages.film(film, scenes, played[0], document["pedestrian"], document.get("radius", pages.BODY))
             write_json(target / RESULTS, document)
             if page:
                 pages.write(target / PAGE, document, film)

@@ -17,7 +17,7 @@ FPS, SPEED = 25, 2.0  # frames a second, and how many times as fast a film plays
 SECONDS = 24.0  # of the scene's time
 _INK, _PEOPLE, _MODEL, _GRID = "#1d2733", "#8a94a0", "#1f6f8b", "#d9dfe5"
 _SIDE, _HEAD = 560, 40  # of a film's halves, and above them [pixels]
-_BODY = 0.2  # radius with which real people are drawn [m]
+BODY = 0.2  # radius with which real people are drawn [m]
 _AHEAD = 0.8  # [s]
 _GROUPS = {
     "open": "Open scenes, replayed",
@@ -53,7 +53,8 @@ def _told(document):
     """What was measured, in clauses."""
     if "radius" not in document:
         return ["a recording, through the same code as models"]
-    told = [f"radius {document['radius']:g} m", f"a decision every {document['period']:g} s", f"{document['seeds']} seeds"]
+    told = [f"radius {document['radius']:g} m", f"a decision every {document['period']:g} s"]
+    told.append(f"{document['seeds']} seeds")
     if document["lcf"]:
         told.append("LCF {:g} to {:g}".format(*document["lcf"]))
     if document["preferred_speed"] is not None:
@@ -73,7 +74,7 @@ def _groups(document):
     for group, title in _GROUPS.items():
         rows = []
         for key, row in document["measures"].items():
-            if row["group"] == group and row["model"] is not None or (row["group"] == group and row["seeds"]):
+            if row["group"] == group and row["seeds"]:
                 apart = None if None in row["halves"] else abs(row["halves"][0] - row["halves"][1])
                 between = "" if row["interval"] is None else " to ".join(told(end, key) for end in row["interval"])
                 name = row["title"] + (f" [{row['unit']}]" if row["unit"] else "")
@@ -117,7 +118,7 @@ def _plots(document):
         axes.axhline(0.0, color=_INK, linewidth=0.8)
         axes.set(xlabel="time to collision [s]", ylabel="E", xlim=(0, 8))
         axes.legend(frameon=False)
-        plots.append((_png(figure), "Anticipation: how much rarer a time to collision is than among people who don't meet"))
+        plots.append((_png(figure), "Anticipation: how rare a time to collision is, beside people who don't meet"))
         figure, axes = _figure()
         for curves, label, colour in both:
             edges, share = np.array(curves["speeds"]["edges"]), np.array(curves["speeds"]["share"])
@@ -133,15 +134,18 @@ def _plots(document):
             axes.scatter(rows[:, 0], rows[:, 1], s=size, color=colour, alpha=0.6, label=label, linewidths=0)
         axes.set(xlabel="density [1/m2]", ylabel="speed [m/s]", xlim=(0, 3.2), ylim=(0, 1.8))
         axes.legend(frameon=False)
-        plots.append((_png(figure), "Fundamental diagram, one way: mean speeds by density; larger marks, more instants"))
+        plots.append(
+            (_png(figure), "Fundamental diagram, one way: mean speeds by density; larger marks, more instants")
+        )
     keys = [key for key in document["measures"] if key.startswith(("exit", "two_speed"))]
     shown = [key for key in keys if document["measures"][key]["seeds"]]
     if shown:
         figure, axes = _figure()
-        for offset, (field, label, colour) in zip((-0.2, 0.2), (("people", "people", _PEOPLE), ("model", name, _MODEL))):
+        for offset, field, label, colour in ((-0.2, "people", "people", _PEOPLE), (0.2, "model", name, _MODEL)):
             values = [document["measures"][key][field] or 0.0 for key in shown]
             axes.bar(np.arange(len(shown)) + offset, values, 0.38, color=colour, label=label)
-        ticks = [document["measures"][key]["title"].replace("flow through an ", "").replace("two ways: ", "") for key in shown]
+        titles = [document["measures"][key]["title"] for key in shown]
+        ticks = [title.replace("flow through an ", "").replace("two ways: ", "") for title in titles]
         axes.set_xticks(np.arange(len(shown)), ticks, fontsize=8)
         axes.set(ylabel="flow [1/m/s], speed [m/s]")
         axes.legend(frameon=False)
@@ -163,11 +167,11 @@ def film(path: pathlib.Path, scenes: list[Scene], played: Played, name: str, rad
     def pictures():
         for time in times:
             page = np.full((_HEAD + _SIDE, 2 * _SIDE, 3), 255, np.uint8)
-            left = _half(scene, scene.position, begin, time, _BODY, (138, 148, 160))
+            left = _half(scene, scene.position, begin, time, BODY, (138, 148, 160))
             right = _half(scene, model, begin, time, radius, (31, 111, 139))
             page[_HEAD:, :_SIDE], page[_HEAD:, _SIDE:] = left, right
-            drawing.write(page, f"people, {scene.name}", (12, 27), 18, (29, 39, 51))
-            drawing.write(page, name, (_SIDE + 12, 27), 18, (29, 39, 51))
+            drawing.write(page, f"people, {scene.name}", (12, 27), 0.66, (29, 39, 51))
+            drawing.write(page, name, (_SIDE + 12, 27), 0.66, (29, 39, 51))
             yield page
 
     return drawing.write_webm(path, pictures(), len(times), FPS)

@@ -1,7 +1,7 @@
 """Any pedestrian model on a layout where people come and go in the middle of the play.
 
-Each world has its own cast. Everybody comes at its time and place, with its velocity, and leaves at its goal or when its
-time is over. A slot of the engine's serves one person after the other; whoever is not there stands far away.
+Each world has its own cast. Everybody comes at its time and place, with its velocity, and leaves at its goal or when
+its time is over. A slot of the engine's serves one person after the other; whoever is not there stands far away.
 """
 
 import dataclasses
@@ -91,8 +91,8 @@ class Stage:
         self._away = jnp.asarray(parking_place(np.arange(self.bodies)), jnp.float32)
 
     def play(self, sample: float) -> list[np.ndarray]:
-        """Where everybody is every `sample` [s]: of each world, positions (T, P, 2) [m], NaN where somebody is not there.
-        Raises UsageError where physics fails."""
+        """Where everybody is every `sample` [s]: of each world, positions (T, P, 2) [m], NaN where somebody is not
+        there. Raises UsageError where physics fails."""
         (state, *_), (position, who) = jax.jit(self._run)(self._timed)
         if faults := [what for what in self.engine.faults(state) if what]:
             raise UsageError(f"Physics failed: {faults[0]}.")
@@ -107,7 +107,8 @@ class Stage:
         return jnp.asarray(found)
 
     def _schedule(self):
-        """Who comes and goes in which slot, a _Timed: a slot is free for the next one once its person's time is over."""
+        """Who comes and goes in which slot, a _Timed: a slot is free for the next one once its person's time is
+        over."""
         spans = [
             (
                 np.clip(np.ceil(cast.comes / self.period - 1e-6), 0, self._steps - 1).astype(int),
