@@ -35,7 +35,8 @@ class Options:
 
     radius [m], preferred_speed, max_speed [m/s], lcf and period [s]: None for those that a learned model was trained
     with, as its card has them. For rules, and where it has none, they are the paper's radius and speeds, Table II's
-    LCFs, and a decision every physics step. preferred_speed: as of macid.crowd.CrowdConfig. matched: everybody walks at its real
+    LCFs, and a decision every physics step. preferred_speed: as of macid.crowd.CrowdConfig. matched: everybody
+    walks at its real
     one's mean speed, in open scenes. seeds: of a learned method the first policies, `name-0` and so on; else of chance.
     """
 

@@ -19,8 +19,8 @@ from macid.pedestrians import Controller
 
 WINDOW = 90.0  # [s]
 WARM_UP = 8.0  # before a window: people who were there go on from where they were [s]
-LATE = 10.0  # how long after its real one was last seen a person may still walk [s]
-LONGEST = 40.0  # played after a window for the people who came in it, at most [s]
+LATE = 6.0  # how long after its real one was last seen a person may still walk [s]
+LONGEST = 30.0  # played after a window for the people who came in it, at most [s]
 _MARGIN = 10.0  # between the outermost place and the map's edge [m]
 
 
