@@ -269,6 +269,7 @@ def _human_measure(args):
         matched=args.matched,
         seeds=args.seeds,
         engine=engine,
+        only=args.only,
     )
     document = measure(args.pedestrian, args.data, options, args.out, show=_after(note, _say))
     print(table(document))
@@ -408,6 +409,7 @@ def parser() -> Parser:
     )
     measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
     measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
+    measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
     measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     measure.add_argument("--out", type=name, default="macid-human", help="folder: measured.json, index.html, film.webm")
     measure.set_defaults(run=_human_measure)

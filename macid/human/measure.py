@@ -26,6 +26,7 @@ from macid.state import MAX_LCF, MAX_SPEED, RADIUS, TOP_SPEED, CrowdState
 RESULTS = "measured.json"
 PAGE = "index.html"
 FILM = "film.webm"
+PARTS = ("open", "flows")
 _CONFIDENCE = 0.95
 
 
@@ -36,8 +37,8 @@ class Options:
     radius [m], preferred_speed, max_speed [m/s], lcf and period [s]: None for those that a learned model was trained
     with, as its card has them. For rules, and where it has none, they are the paper's radius and speeds, Table II's
     LCFs, and a decision every physics step. preferred_speed: as of macid.crowd.CrowdConfig. matched: everybody
-    walks at its real
-    one's mean speed, in open scenes. seeds: of a learned method the first policies, `name-0` and so on; else of chance.
+    walks at its real one's mean speed, in open scenes. seeds: of a learned method the first policies, `name-0` and so
+    on; else of chance. only: one of PARTS.
     """
 
     radius: float | None = None
@@ -48,6 +49,7 @@ class Options:
     matched: bool = False
     seeds: int = 3
     engine: str = "native"
+    only: str | None = None
 
     def __post_init__(self):
         if self.radius is not None:
@@ -115,6 +117,8 @@ def measure(
     begun = time.monotonic()
     if out is not None:
         check_folder(out)
+    if options.only == "open" and folder is None and not is_recording(pedestrian):
+        raise UsageError("--only open needs --data: people's files, whose open scenes are replayed.")
     walks = [] if folder is None else list(data.load_all(folder))
     if is_recording(pedestrian):
         played, scenes, values, curves, told = _recording(pedestrian)
@@ -189,7 +193,7 @@ def _model(pedestrian, walks, options, show):
         "seeds": options.seeds,
     }
     controller = Troupe([made[name] for name in names])
-    scenes = [Scene(walk) for walk in walks if walk.scene == "open"]
+    scenes = [Scene(walk) for walk in walks if walk.scene == "open"] if options.only != "flows" else []
     seeds = list(range(options.seeds))
     values, curves, played = [{} for _ in seeds], {}, []
     if scenes:
@@ -200,7 +204,12 @@ def _model(pedestrian, walks, options, show):
         for index in range(len(found)):
             values[index] |= found[index][0]
         curves |= _mean_curves([each for _, each in found])
-    drawn = lambda rng, number: traits.draw_preferred_speed(rng, wanted, number)  # noqa: E731
+    if options.only == "open":
+        return played, scenes, values, curves, told
+
+    def drawn(rng, number):
+        return traits.draw_preferred_speed(rng, wanted, number)
+
     for index, run in enumerate(flows.flows(controller, period, body, seeds, drawn, options.engine, show)):
         values[index] |= run.values
         curves.setdefault("diagram", []).extend(run.curves["diagram"])
