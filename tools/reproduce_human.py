@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """All pedestrian models beside real people: measures what is missing.
 
     tools/reproduce_human.py --data DIR --out human

@@ -182,7 +182,8 @@ def _counted(times):
 
 def meetings(position: np.ndarray, velocity: np.ndarray, known: np.ndarray) -> Meetings:
     """Pairs of people in one scene, from everybody's positions and velocities (T, K, 2) [m, m/s] every STRIDE, NaN
-    where somebody is not there. known: (K, K) bool, pairs who are no strangers. Both pairs count, a with b and b with a.
+    where somebody is not there. known: (K, K) bool, pairs who are no strangers. A pair counts from
+    both sides.
 
     Strangers who overlap are on a collision course, too, but have no time to collision."""
     there = [np.flatnonzero(row) for row in ~np.isnan(position[..., 0] + velocity[..., 0])]
