@@ -181,7 +181,8 @@ def _model(pedestrian, walks, options, show):
         return given if given is not None else recipe.get(field, otherwise)
 
     wanted = traits.check_preferred_speed(usual("preferred_speed", None))
-    body = Body(usual("radius", RADIUS), usual("max_speed", MAX_SPEED), tuple(options.lcf or table_lcf(names[0])))
+    least, most = options.lcf or table_lcf(names[0])
+    body = Body(usual("radius", RADIUS), usual("max_speed", MAX_SPEED), (least, most))
     told = {
         "policies": names if len(made) > 1 else names[:1],
         "period": period,

@@ -116,7 +116,7 @@ def play(
     first; a controller may tell them apart by that. Raises UsageError where physics fails."""
     parts = windows(scenes)
     groups = _batches(parts)
-    found = [[None] * len(parts) for _ in speeds]
+    found = [{} for _ in speeds]
     size = 2 * (max(scene.reach for scene in scenes) + _MARGIN)
     for group in groups:
         casts = [cast(scenes[parts[i].scene], parts[i], each[parts[i].scene]) for each in speeds for i in group]
@@ -126,7 +126,7 @@ def play(
         played = stage.play(OPEN_PERIOD)
         for number, walks in enumerate(played):
             found[number // len(group)][group[number % len(group)]] = walks
-    return [gather(scenes, parts, each) for each in found]
+    return [gather(scenes, parts, [each[number] for number in range(len(parts))]) for each in found]
 
 
 def _batches(parts):

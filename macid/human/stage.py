@@ -137,15 +137,6 @@ class Stage:
                 found[: len(walk), world, : walk.shape[1]] = walk
         return jnp.asarray(found)
 
-    def _walked(self, number):
-        """Where people are who are moved, in decision `number`: (nworld, people, 2) [m], NaN of all others."""
-        exact = number * (self.period / STEP) + 1e-4
-        before = jnp.minimum(jnp.floor(exact).astype(int), len(self._walk) - 1)
-        after = jnp.minimum(before + 1, len(self._walk) - 1)
-        share = jnp.maximum(exact - before - 1e-4, 0.0)
-        along = self._walk[before] * (1.0 - share) + self._walk[after] * share
-        return jnp.where(share > 1e-3, along, self._walk[before])
-
     def _run(self, timed):
         worlds = len(self.casts)
         start = self.engine.init(
@@ -171,7 +162,7 @@ class Stage:
         led = jnp.zeros_like(there)
         where, moved = jnp.where(new[..., None], start, self._away[: self.number]), new | timed.ends
         if self._walk is not None:
-            walk = self._walked(timed.number)[each, own]
+            walk = _along(self._walk, timed.number * (self.period / STEP))[each, own]
             led = there & ~jnp.isnan(walk[..., 0])
             where, moved = jnp.where(led[..., None], walk, where), moved | led
         towards = jnp.where(norm(entry)[..., None] > 1e-3, entry, goal - start)
@@ -249,6 +240,15 @@ def sampled(walks: np.ndarray, times: np.ndarray, wanted: np.ndarray) -> np.ndar
     found = np.where(share > 0, walks[before] * (1 - share) + walks[after] * share, walks[before])
     found[exact > len(times) - 1 + 1e-3] = np.nan
     return found
+
+
+def _along(walk, exact):
+    """Places of `walk` (T, nworld, people, 2) [m] at the step `exact`, not always a whole number; NaN where there is
+    none."""
+    before = jnp.minimum(jnp.floor(exact + 1e-4).astype(int), len(walk) - 1)
+    after = jnp.minimum(before + 1, len(walk) - 1)
+    share = exact - before
+    return jnp.where(share > 1e-3, walk[before] * (1.0 - share) + walk[after] * share, walk[before])
 
 
 def _slots(first, last):
