@@ -86,6 +86,13 @@ def jittered(rng: np.random.Generator, places: np.ndarray, radius: float, length
     return moved
 
 
+def crowded(number: int, width: float, length: float, radius: float, rng: np.random.Generator) -> np.ndarray:
+    """`number` places (N, 2) [m] in a corridor, y from 0 to `length` [m], or to more where broad people need it."""
+    while (places := lattice(number, width, length, radius)) is None:
+        length *= 1.1
+    return jittered(rng, places, radius, length)
+
+
 def _wall(x0, y0, x1, y1):
     """The box between two corners."""
     return [(x0 + x1) / 2, (y0 + y1) / 2, abs(x1 - x0) / 2, abs(y1 - y0) / 2, 0.0]
@@ -108,11 +115,8 @@ def exit_layout(place: Bottleneck, length: float) -> Layout:
 
 def exit_cast(place: Bottleneck, number: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
     """A crowd of `number` people at rest in a corridor before its exit. speed: as of `flows`."""
-    length = number / (START_DENSITY * place.width)
-    places = lattice(number, place.width, length, body.radius)
-    if places is None:
-        raise ValueError(f"no room for {number} people of radius {body.radius:g} m before an exit")
-    places = jittered(rng, places, body.radius, length) + np.array([0.0, place.exit_y + body.radius + 0.2])
+    places = crowded(number, place.width, number / (START_DENSITY * place.width), body.radius, rng)
+    places = places + np.array([0.0, place.exit_y + body.radius + 0.2])
     room = max(0.0, place.exit / 2 - body.radius)
     middle = place.width / 2
     goals = np.stack([middle + np.clip(places[:, 0] - middle, -room, room), np.full(number, place.exit_y - BEYOND)], -1)
@@ -147,7 +151,7 @@ def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callab
     length = side / (density * CORRIDOR.width)
     places, goals = [], []
     for way in (1.0, -1.0):
-        own = jittered(rng, lattice(side, CORRIDOR.width, length, body.radius), body.radius, length)
+        own = crowded(side, CORRIDOR.width, length, body.radius, rng)
         own[:, 1] = -way * (own[:, 1] + CORRIDOR.half / 2)
         places.append(own)
         goals.append(np.stack([own[:, 0], np.full(side, way * (CORRIDOR.half + BEYOND))], axis=-1))
@@ -187,7 +191,7 @@ def flows(
     values, curves, smooth = ([{} for _ in seeds], [{} for _ in seeds], [[] for _ in seeds])
     for place, number in zip(EXIT_PLACES, EXIT_PEOPLE, strict=True):
         tell(f"exit of {place.exit:g} m: {number} people")
-        layout = exit_layout(place, number / (START_DENSITY * place.width) + 2.0)
+        layout = exit_layout(place, 2.0 * number / (START_DENSITY * place.width) + 2.0)
         crowd = functools.partial(exit_cast, place, number, body)
         for index, (walks,) in enumerate(play(layout, lambda rng, own, crowd=crowd: [crowd(rng, own)])):
             times = measures.crossing_times(walks, LAB_PERIOD, place.exit_y)
