@@ -33,7 +33,8 @@ CORRIDOR = TwoWays(3.6, 4.0)
 WALL = 0.3  # thickness [m]
 BEYOND = 4.0  # how far beyond the exit, or the corridor's end, goals lie [m]
 JITTER = 0.05  # of starts [m]
-WALL_ROOM = 0.05  # between people and walls there [m]
+WALL_ROOM = 0.1  # between people and walls there [m]
+_PUSHES = 150  # at most, until bodies have room
 
 
 class Runs(NamedTuple):
@@ -44,43 +45,53 @@ class Runs(NamedTuple):
     smoothness: np.ndarray  #: of all people who walk in a corridor, (N,)
 
 
-def lattice(number: int, width: float, length: float, radius: float, gap: float = WALL_ROOM) -> np.ndarray | None:
+def _apart(places, length):
+    """Offsets (N, N, 2) [m] between `places` (N, 2) on a ring of `length` [m], and distances (N, N), infinite to
+    itself."""
+    offset = places[None] - places[:, None]
+    offset[..., 1] -= length * np.round(offset[..., 1] / length)
+    distance = np.linalg.norm(offset, axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    return offset, distance
+
+
+def lattice(number: int, width: float, length: float, radius: float) -> np.ndarray | None:
     """Places (number, 2) [m] in a corridor, x in (0, width), y in (0, length), which is a ring: rows along y, every
-    other one shifted by half a step, of which the arrangement with the most room; `gap` [m] from walls, or none where
-    there is no room else. None where bodies of `radius` [m] have no room there at all."""
-    best, room = None, 0.0
-    edge = radius + gap
-    usable = width - 2 * edge
-    for rows in range(1, number + 1):
-        across = usable / (rows - 1) if rows > 1 else width
-        if rows > 1 and across < radius / 2:
-            break
-        counts = [number // rows + (row < number % rows) for row in range(rows)]
-        columns = []
-        for row, count in enumerate(counts):
-            x = edge + row * across if rows > 1 else width / 2
-            y = (np.arange(count) + 0.5 * (row % 2)) * length / max(count, 1)
-            columns.append(np.stack([np.full(count, x), y], axis=-1))
-        places = np.concatenate(columns)
-        offset = places[None] - places[:, None]
-        offset[..., 1] -= length * np.round(offset[..., 1] / length)
-        distance = np.linalg.norm(offset, axis=-1)
-        np.fill_diagonal(distance, np.inf)
-        if distance.min() > room:
-            best, room = places, distance.min()
-    if best is not None and room >= 2 * radius - 0.01:
-        return best
-    return lattice(number, width, length, radius, 0.0) if gap else None
+    other one shifted by half a step, of which the arrangement with the most room; then pushed apart until bodies of
+    `radius` [m] have room. WALL_ROOM from walls, or less where there is no room else. None where there is none."""
+    for gap in (WALL_ROOM, 0.0):
+        low, high = radius + gap, width - radius - gap
+        best, room = None, 0.0
+        for rows in range(1, number + 1):
+            across = (high - low) / (rows - 1) if rows > 1 else 0.0
+            if high < low or (rows > 1 and across < radius / 2):
+                break
+            counts = [number // rows + (row < number % rows) for row in range(rows)]
+            columns = [
+                [(low + row * across if rows > 1 else width / 2, (step + 0.5 * (row % 2)) * length / count)]
+                for row, count in enumerate(counts)
+                for step in range(count)
+            ]
+            places = np.array(columns).reshape(number, 2)
+            if (least := _apart(places, length)[1].min()) > room:
+                best, room = places, least
+        for _ in range(_PUSHES):
+            if best is None or room >= 2 * radius:
+                break
+            offset, distance = _apart(best, length)
+            push = np.maximum(2 * radius + 0.005 - distance, 0.0) / np.maximum(distance, 1e-9) / 2
+            best = best - (push[..., None] * offset).sum(axis=1)
+            best[:, 0] = np.clip(best[:, 0], low, high)
+            room = _apart(best, length)[1].min()
+        if best is not None and room >= 2 * radius - 0.01:
+            return best
+    return None
 
 
 def jittered(rng: np.random.Generator, places: np.ndarray, radius: float, length: float) -> np.ndarray:
     """`places` (N, 2) [m] of a lattice on a ring of `length` [m], each moved a little, as far as there is room, and all
     turned along it."""
-    offset = places[None] - places[:, None]
-    offset[..., 1] -= length * np.round(offset[..., 1] / length)
-    distance = np.linalg.norm(offset, axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    free = min(JITTER, max(0.0, (distance.min() - 2 * radius) / 2 - 0.005))
+    free = min(JITTER, max(0.0, (_apart(places, length)[1].min() - 2 * radius) / 2 - 0.005))
     moved = places + rng.uniform(-free, free, places.shape) / math.sqrt(2)
     moved[:, 1] = (moved[:, 1] + rng.uniform(0.0, length)) % length
     return moved
@@ -129,13 +140,18 @@ def ring_layout() -> Layout:
 
 
 def ring_cast(density: float, body: Body, rng: np.random.Generator, speed: Callable) -> Cast | None:
-    """People at rest at `density` [1/m2] on the ring, who all go one way; None where bodies have no room."""
+    """People at `density` [1/m2] on the ring, who all go one way, at first about as fast as people do; None where bodies
+    have no room. Where one person more or less is easier to arrange, it is that many."""
     number = round(density * RING * RING_WIDTH)
-    places = lattice(number, RING_WIDTH, RING, body.radius)
+    found = (lattice(many, RING_WIDTH, RING, body.radius) for many in (number, number + 1, number - 1))
+    places = next((each for each in found if each is not None), None)
     if places is None:
         return None
     places = jittered(rng, places, body.radius, RING) - np.array([0.0, RING / 2])
-    return _cast(places, places - np.array([0.0, 10.0]), np.zeros((number, 2)), speed(number), SETTLES + RUNS)
+    ahead = np.tile([0.0, -1.0], (len(places), 1))
+    return _cast(
+        places, places + 10.0 * ahead, max(0.5, 1.7 - 0.5 * density) * ahead, speed(len(places)), SETTLES + RUNS
+    )
 
 
 def two_ways_layout() -> Layout:

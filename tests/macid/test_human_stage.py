@@ -107,9 +107,9 @@ def test_places_between_samples_are_interpolated_and_missing_ones_stay_missing()
 @pytest.mark.parametrize("radius", [0.2, 0.35])
 @pytest.mark.parametrize("density", [0.8, 1.6, 2.0])
 def test_a_lattice_has_room_and_its_density(radius, density):
-    number = round(density * flows.RING * flows.RING_WIDTH)
-    places = flows.lattice(number, flows.RING_WIDTH, flows.RING, radius)
-    moved = flows.jittered(np.random.default_rng(1), places, radius, flows.RING)
+    people = flows.ring_cast(density, Body(radius), np.random.default_rng(1), lambda number: None)
+    moved, number = people.place, len(people.place)
+    assert number / flows.RING / flows.RING_WIDTH == pytest.approx(density, abs=0.1)
     offset = moved[None] - moved[:, None]
     offset[..., 1] -= flows.RING * np.round(offset[..., 1] / flows.RING)
     distance = np.linalg.norm(offset, axis=-1) + 9 * np.eye(number)
