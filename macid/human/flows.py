@@ -27,6 +27,7 @@ EXIT_PEOPLE = (80, 120)
 START_DENSITY = 1.6  # before the exit [1/m2]
 LONGEST = 60.0  # [s]
 CROSSING = 40.0  # of two ways [s]
+DENSER = 1.6  # a side's density at the start, over what it is to be in the middle
 RING, RING_WIDTH = 8.0, 2.0  # [m]
 SETTLES, RUNS = 8.0, 12.0  # [s]
 CORRIDOR = TwoWays(3.6, 4.0)
@@ -140,8 +141,8 @@ def ring_layout() -> Layout:
 
 
 def ring_cast(density: float, body: Body, rng: np.random.Generator, speed: Callable) -> Cast | None:
-    """People at `density` [1/m2] on the ring, who all go one way, at first about as fast as people do; None where bodies
-    have no room. Where one person more or less is easier to arrange, it is that many."""
+    """People at `density` [1/m2] on the ring, who all go one way, at first about as fast as people do; None where
+    bodies have no room. Where one person more or less is easier to arrange, it is that many."""
     number = round(density * RING * RING_WIDTH)
     found = (lattice(many, RING_WIDTH, RING, body.radius) for many in (number, number + 1, number - 1))
     places = next((each for each in found if each is not None), None)
@@ -161,9 +162,9 @@ def two_ways_layout() -> Layout:
 
 
 def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
-    """`side` people on each side, at half the density that both together are to have in the middle, who start towards
-    each other. The first half of the cast goes towards greater y."""
-    density = figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
+    """`side` people on each side, at rest, who start towards each other. The first half of the cast goes towards greater
+    y. As a crowd draws out on its way, it begins denser than half of what both together are to be in the middle."""
+    density = DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
     length = side / (density * CORRIDOR.width)
     places, goals = [], []
     for way in (1.0, -1.0):

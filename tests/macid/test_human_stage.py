@@ -1,3 +1,5 @@
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -170,6 +172,6 @@ def test_everybody_is_counted_in_one_window():
     assert len(parts) == 4
     counted = np.concatenate([part.who[part.counted] for part in parts])
     assert sorted(counted) == np.flatnonzero(~scenes[0].stands).tolist()
-    for before, after in zip(parts[:-1], parts[1:], strict=True):
+    for before, after in itertools.pairwise(parts):
         assert before.end == after.begin and after.start < after.begin
     assert measures.displacement_errors(scenes[0].position, scenes[0].position) == (0.0, 0.0)
