@@ -1,4 +1,5 @@
-"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` as calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay` and
+`train` as calls.
 
     from bson import benchmark
 
@@ -49,6 +50,7 @@ def evaluate(
     paired: bool = False,
     metrics: Sequence[str] = (),
     videos: int = 2,
+    record: bool = False,
     resume: bool = False,
     executor: str | Executor = "local",
     ray_address: str | None = None,
@@ -66,9 +68,10 @@ def evaluate(
     seeds of the same kind. track, sensor: as for bson.episodes.tracks.make_track (default: what the agent wants).
     overrides: fields of TaskConfig that are changed. paired: also plays each episode without the robot. metrics: the
     user's own metrics, each `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: the number
-    of films. resume: goes on with the evaluation that was cut short in `out`. executor, ray_address, workers: see
-    macid.executors.make_executor. engine: "native", or "warp", which plays all episodes of a cell at once on a device,
-    for agents that are learned policies. command: the command that `results.json` names as its origin. told: called
+    of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
+    evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
+    "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
+    command: the command that `results.json` names as its origin. told: called
     with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
@@ -82,6 +85,7 @@ def evaluate(
     from bson.evaluation.play import results, sound
     from bson.evaluation.store import Unfinished, basis, files_digest
     from bson.evaluation.suites import load_suite
+    from bson.interfaces.bag import remove_bags
     from bson.reporting.report import make_report
 
     name, changes = agent_label(agent), overrides or {}
@@ -101,6 +105,8 @@ def evaluate(
     if engine != "native":
         check_engine(engine, agent, wanted, executor, paired)
         follows_from["engine"] = engine
+    if record:
+        _check_record(out, engine)
     folder = None if out is None else _evaluation_folder(out)
     runner = make_executor(executor, ray_address, workers)
     with contextlib.ExitStack() as held:
@@ -148,8 +154,9 @@ def evaluate(
             if told:
                 told(found)
             return found
-        # Films that an earlier run left here do not belong to these results.
+        # Films and bags that an earlier run left here do not belong to these results.
         remove_leftovers(folder / "videos")
+        remove_bags(folder / "bags")
         for stale in (folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
             if not stale.is_symlink():
                 stale.unlink(missing_ok=True)
@@ -157,14 +164,68 @@ def evaluate(
         if told:
             told(found)
         played = [sound(each) for each in played]
+        bags = _record_ends(played, cells, seen, folder / "bags", content) if record else []
         films, why_not = _films(played, cells, seen, folder / "videos", videos, name, quiet)
         report = make_report(content, [e for each in played for e in each], films, why_not)
         write_bytes(folder / "report.html", report.encode())
         assert unfinished is not None  # as `out` is a folder
         unfinished.discard()
     return dataclasses.replace(
-        found, written=(folder / "results.json", folder / "report.html", *(path for path, _ in films))
+        found, written=(folder / "results.json", folder / "report.html", *bags, *(path for path, _ in films))
     )
+
+
+def _check_record(out, engine):
+    """Raises UsageError where an evaluation can't record its episodes."""
+    from bson.interfaces import bag
+
+    bag.check()
+    if out is None:
+        raise UsageError("record writes bags beside the results: give the folder `out`, too.")
+    if engine != "native":
+        raise UsageError(f"The engine '{engine}' keeps no actions, which bags are made from: leave --record out.")
+    check_folder(pathlib.Path(out) / "bags")
+
+
+def _record_ends(played, cells, track, folder, content):
+    """Writes the worst and the best of the episodes `played`, those of each of `cells`, to bags in `folder`; returns
+    their paths. content: that of results.json."""
+    from bson.evaluation.metrics import sns
+    from bson.evaluation.play import replayed
+    from bson.interfaces import bag
+
+    ranked = sorted(
+        ((cell, one) for cell, episodes in zip(cells, played, strict=True) for one in episodes),
+        key=lambda pair: sns(pair[1]),
+    )
+    written = []
+    for cell, episode in ranked[:1] + ranked[1:][-1:]:
+        if episode.actions is None:
+            told = f"not recorded: an older version began the evaluation, and kept no actions of seed {episode.seed}"
+            print(told, file=sys.stderr)
+            continue
+        called = _bag_name(cell, len(cells) > 1, episode.seed)
+        about = _about(cell, content)
+        with bag.recordings(folder, lambda seed, called=called: called, about) as watch:
+            again = replayed(episode, cell.config, track, watch)
+        assert sns(again) == sns(episode), "an episode and its recording differ"
+        written.append(folder / called)
+    return written
+
+
+def _bag_name(cell, several, seed):
+    return f"seed-{seed}{'-' + cell.slug if several else ''}"
+
+
+_ABOUT = ("suite_digest", "task_digest", "overrides", "frozen_seeds", "versions", "command")  # keys of results.json
+
+
+def _about(cell, content):
+    """What the bags of a `cell` tell beside their episodes. content: that of results.json."""
+    from bson.interfaces import bag
+
+    more = {key: content[key] for key in _ABOUT}
+    return bag.about(content["agent"], content["suite"], cell, content["track"], content["sensors"], **more)
 
 
 def _evaluation_folder(out):
@@ -261,6 +322,143 @@ def _films(played, cells, track, folder, number, name, quiet):
         where = f" in '{cell.name}'" if several else ""
         made.append((path, f"seed {episode.seed}{where}{kind and f', {kind}'}: SNS {sns(episode):.1f}"))
     return made, ""
+
+
+def record(
+    agent: Any,
+    out: str | pathlib.Path,
+    *,
+    suite: str | None = None,
+    seed: int = 0,
+    episodes: int | None = None,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    stamped: bool = True,
+    command: str | None = None,
+    quiet: bool = False,
+) -> list[pathlib.Path]:
+    """Plays an agent and writes each episode to a bag, a rosbag2 folder with MCAP storage, as `bson record` does (extra
+    `record`); returns the bags' folders, `out`/seed-N, or `out`/seed-N-CELL where a suite has several cells.
+
+    suite: the name of the suite whose episodes are played, `episodes` of each cell; None: one episode of the paper's
+    setting. seed: of that episode, or as for `evaluate` with a suite. stamped: whether commands are TwistStamped
+    messages, not Twist. The other arguments are as for `evaluate`. Where the request can't be met, raises UsageError
+    before anything is played. Each bag is whole or not there.
+    """
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.episodes.tracks import make_track, sensor_label, sensor_settings
+    from bson.evaluation.play import run_episodes, versions
+    from bson.evaluation.store import basis, files_digest
+    from bson.evaluation.suites import Cell, load_suite
+    from bson.interfaces import bag, messages
+    from bson.task import TaskConfig
+
+    bag.check()
+    name, changes = agent_label(agent), overrides or {}
+    if suite is None:
+        if episodes is not None:
+            raise UsageError("--episodes is a number of a suite's episodes: give --suite, too.")
+        cells, seeds, digest = [Cell((), TaskConfig())], [seed], None
+    else:
+        chosen = load_suite(suite)
+        cells, seeds, digest = chosen.cells, chosen.drawn(episodes, seed), chosen.digest
+    cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in cells]
+    make_agent = load_agent(agent, untrained)
+    wanted = track or make_agent.track, sensor or make_agent.sensor
+    seen = make_track(*wanted)
+    check_settings(make_agent, [cell.config for cell in cells], seen)
+    for cell in cells:
+        _check_spawn(cell.config, seeds)
+    several = len(cells) > 1
+    folder = bag.check_new(out, [_bag_name(cell, several, one) for cell in cells for one in seeds])
+    for key in messages.unknown(seen.sensors):
+        print(f"not recorded: the sensor '{key}', for which ROS has no message here", file=sys.stderr)
+    content = {
+        "agent": name,
+        "suite": suite or "none",
+        "suite_digest": None if changes else digest,
+        "task_digest": files_digest(basis(name, wanted, cells, False)),
+        "track": [wanted[0], sensor_label(wanted[1])],
+        "sensors": sensor_settings(seen.sensors),
+        "overrides": {key: str(value) for key, value in changes.items()},
+        "frozen_seeds": suite is not None and seed == 0,
+        "versions": versions(),
+        "command": command,
+    }
+    written = []
+    for cell in cells:
+        called = functools.partial(_bag_name, cell, several)
+        with (
+            _bar(name, several, quiet, cell.name, False, len(seeds), 0) as bar,
+            new_folder(folder),
+            bag.recordings(folder, called, _about(cell, content), stamped) as watch,
+        ):
+            run_episodes(
+                make_agent,
+                cell.config,
+                seen,
+                seeds,
+                name,
+                lambda steps, episode, bar=bar: bar(steps, episode is not None),
+                watch=watch,
+            )
+        written += [folder / called(one) for one in seeds]
+    return written
+
+
+def replay(bags: Sequence[str | pathlib.Path], out: str | pathlib.Path | None = None) -> Results:
+    """Scores recorded episodes again, from the messages in their bags, as `bson replay` does; returns the Results. They
+    equal those of the evaluation bit for bit, episode by episode (but for the effects on others of --paired).
+
+    bags: folders that `record` or `evaluate` wrote, or folders of these. out: a folder for results.json. Raises
+    UsageError where a bag is damaged, or the bags are of different agents, suites or settings.
+    """
+    from bson.evaluation.play import results
+    from bson.evaluation.suites import Cell
+    from bson.interfaces import bag
+    from bson.task import TaskConfig
+
+    path = None if out is None else check_file(pathlib.Path(out) / "results.json")
+    cells: dict[str, Any] = {}
+    there = [(folder, *bag.read(folder)) for folder in bag.bags_in(bags)]
+    where, first, _ = there[0]
+    for folder, about, episode in there:
+        for key in ("agent", "suite", "suite_digest", "task_digest", "track"):
+            if (one := getattr(first, key)) != (other := getattr(about, key)):
+                told = f"{key} {one!r} in '{where}', and {other!r} in '{folder}'"
+                raise UsageError(f"The bags are of different evaluations: {told}. Give those of one.")
+        if about.cell not in cells:
+            try:
+                config = TaskConfig(**about.config)
+            except (TypeError, ValueError) as error:
+                raise UsageError(f"bag '{folder}', key 'config': {error}") from None
+            cells[about.cell] = Cell(tuple(map(tuple, about.grades)), config), {}
+        played = cells[about.cell][1]
+        if episode.seed in played:
+            raise UsageError(f"There are two bags of the seed {episode.seed}, and '{folder}' is the second: give one.")
+        played[episode.seed] = episode
+    content = results(
+        first.agent,
+        first.suite,
+        [cell for cell, _ in cells.values()],
+        [list(played.values()) for _, played in cells.values()],
+        suite_digest=first.suite_digest,
+        task_digest=first.task_digest,
+        track=first.track,
+        sensors=first.sensors,
+        paired=False,
+        overrides=first.overrides,
+        frozen_seeds=first.frozen_seeds,
+        command=None,
+    )
+    found = Results(json.loads(json.dumps(content)), str(where) if out is None else str(out))
+    if path is not None:
+        with new_folder(path.parent):
+            found.save(path)
+        found = dataclasses.replace(found, written=(path,))
+    return found
 
 
 def _loaded(results):

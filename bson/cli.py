@@ -112,6 +112,7 @@ def _evaluate(args):
         paired=args.paired,
         metrics=args.metric,
         videos=args.videos,
+        record=args.record,
         resume=args.resume,
         executor=args.executor,
         ray_address=args.ray_address,
@@ -157,6 +158,39 @@ def _render(args):
         untrained=args.untrained_setting,
     )
     print(f"Written: {path}")
+    return 0
+
+
+def _record(args):
+    from bson import benchmark
+
+    written = benchmark.record(
+        args.agent,
+        args.out,
+        suite=args.suite,
+        seed=args.seed,
+        episodes=args.episodes,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        stamped=not args.twist,
+        command="bson " + shlex.join(args.argv),
+    )
+    print(f"Written: {', '.join(map(str, written))}")
+    return 0
+
+
+def _replay(args):
+    from bson import benchmark
+    from bson.evaluation.play import format_summary
+
+    found = benchmark.replay(args.bags, args.out)
+    for row in found.content["episodes"]:
+        print(f"{row['cell']}, seed {row['seed']}: SNS {row['SNS']!r}")
+    print(format_summary(found.content))
+    if args.out:
+        print(f"Written: {found.written[0]}")
     return 0
 
 
@@ -259,7 +293,9 @@ def _bench(args):
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises where this number is not valid
     path = check_file(args.out, "file for --out") if args.out else None
-    if args.engine == "warp":
+    if args.record:
+        rows = _bench_recording(args, given)
+    elif args.engine == "warp":
         rows = _bench_warp(args, given)
     elif args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
@@ -272,6 +308,16 @@ def _bench(args):
         with new_folder(path.parent):
             write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
+
+
+def _bench_recording(args, given):
+    from bson import bench
+    from bson.interfaces import bag
+
+    bag.check()
+    if args.engine != "native" or args.train is not None or "batches" in given or "seconds" in given:
+        raise UsageError("--record measures bags of 60 s: leave --train, --engine, --worlds and --seconds out.")
+    return bench.run_recording(**given, model=args.pedestrian_model)
 
 
 def _bench_warp(args, given):
@@ -360,6 +406,9 @@ def _add_evaluation(command, out, suite):
         "and the best of the best",
     )
     command.add_argument(
+        "--record", action="store_true", help="also write the worst and the best episode to bags/ (extra `record`)"
+    )
+    command.add_argument(
         "--metric",
         type=name,
         action="append",
@@ -425,6 +474,24 @@ def parser() -> Parser:
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    record = commands.add_parser(
+        "record", help="write episodes to rosbag2 folders with MCAP storage (extra `record`)", **defaults
+    )
+    _add_setting(record)
+    record.add_argument("--suite", type=name, default=None, help="record a suite's episodes (bson list)")
+    record.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    record.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
+    )
+    record.add_argument("--twist", action="store_true", help="commands as Twist, not as TwistStamped")
+    record.add_argument("--out", type=name, required=True, help="folder; each episode gets one in it, seed-N")
+    record.set_defaults(run=_record)
+
+    replay = commands.add_parser("replay", help="score recorded episodes again (extra `record`)", **defaults)
+    replay.add_argument("bags", type=name, nargs="+", metavar="BAG", help="folders of bson record, or folders of these")
+    replay.add_argument("--out", type=name, default=None, help="folder for results.json")
+    replay.set_defaults(run=_replay)
+
     export = commands.add_parser(
         "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
     )
@@ -462,10 +529,11 @@ def parser() -> Parser:
     train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
-    bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
+    bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training; or writing bags")
     bench.add_argument(
         "--train", type=name, nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)"
     )
+    bench.add_argument("--record", action="store_true", help="measure writing bags of 60 s (extra `record`)")
     bench.number("--pedestrians", int, 0, MOST_PEOPLE, nargs="+", help="(default: 24 50 100 200; training: 24)")
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", help="at once (default: 1 16; training: 16)")
     bench.add_argument(
@@ -487,7 +555,7 @@ def parser() -> Parser:
     return root
 
 
-_DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
+_DRAW_NOTHING = (_compare, _leaderboard, _replay, _export, _doctor, _list)
 
 
 def main(argv: Sequence[str] | None = None) -> int | str | None:

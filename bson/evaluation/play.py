@@ -29,19 +29,22 @@ def run_episodes(
     progress: Callable[..., object] | None = None,
     batch: int = BATCH,
     nthread: int = 0,
+    watch: Callable[[Session, int], Any] | None = None,
 ) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives an agent, a callable, for one world; it is called with the Setting if it takes one (see
     bson.agents). progress(steps, episode): called after each control step of each world, with 1 and the Episode that
-    ended in this step, or None. An episode does not depend on which others run beside it.
+    ended in this step, or None. watch(session, index): called as an episode begins in the world `index`; gives an
+    object whose snap(action) is called after each control step of the episode, and whose end(episode) at its end. An
+    episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
     agents = [made_for(make_agent, setting) for _ in range(nworld)]  # an agent that refuses does so at once
     session = Session(config, track, nworld, nthread=nthread)
     waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
-    observations = {}
+    observations, watching = {}, {}
 
     def begin(index):
         if not waiting:
@@ -51,6 +54,8 @@ def run_episodes(
         observation = session.reset([index], [seed])
         reset_agent(agents[index], seed, agent_name)
         recorders[index] = Recorder(session, index)
+        if watch:
+            watching[index] = watch(session, index)
         observations[index] = {name: value[0] for name, value in observation.items()}
 
     for index in range(nworld):
@@ -60,11 +65,15 @@ def run_episodes(
         actions = np.stack([act(agents[index], observations[index], agent_name) for index in ids])
         observation, _, terminated, truncated = session.step(ids, actions)
         for row, index in enumerate(ids):
-            recorders[index].snap()
+            recorders[index].snap(actions[row])
+            if watch:
+                watching[index].snap(actions[row])
             observations[index] = {name: value[row] for name, value in observation.items()}
             ended = terminated[row] or truncated[row]
             if ended:
                 done[playing[index]] = recorders[index].episode()
+                if watch:
+                    watching[index].end(done[playing[index]])
             if progress:
                 progress(1, done[playing[index]] if ended else None)
             if ended:
@@ -233,3 +242,11 @@ def format_summary(content: dict[str, Any]) -> str:
         lines.append(f" not scored, as physics failed: {len(faults)} episode{'s' if len(faults) != 1 else ''}")
         lines += [f"  {_in_words(fault)}" for fault in faults]
     return "\n".join(lines)
+
+
+def replayed(episode: Episode, config: TaskConfig, track: LocalTrack, watch: Callable[[Session, int], Any]) -> Episode:
+    """Plays `episode` of `config` again by its actions, for `watch` (see run_episodes). The worlds of one seed and the
+    same actions are equal, so what comes out is the same Episode."""
+    actions = iter(() if episode.actions is None else episode.actions)
+    (again,) = run_episodes(lambda: lambda observation: next(actions), config, track, [episode.seed], watch=watch)
+    return again
