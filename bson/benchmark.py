@@ -1,5 +1,5 @@
-"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay` and
-`train` as calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay`,
+`dataset` and `train` as calls.
 
     from bson import benchmark
 
@@ -461,6 +461,83 @@ def replay(bags: Sequence[str | pathlib.Path], out: str | pathlib.Path | None = 
     return found
 
 
+def dataset(
+    agent: Any = None,
+    out: str | pathlib.Path | None = None,
+    *,
+    name: str | None = None,
+    suite: str = "paper",
+    cell: str | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    command: str | None = None,
+    quiet: bool = False,
+) -> list[pathlib.Path]:
+    """Plays an agent and writes its episodes to a Minari dataset, as `bson dataset` does (extra `data`); returns the
+    datasets' folders.
+
+    agent: as for `evaluate`; None: three datasets, expert, medium and random, of the agents
+    bson.learning.dataset.LEVELS. name: the dataset's id, by default bson/SUITE/AGENT-v0. out: folder of datasets, by
+    default Minari's own. cell: one cell of the suite, by its name. The other arguments are as for `evaluate`. Where the
+    request can't be met, raises UsageError before anything is played. A dataset is whole or not there.
+    """
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.episodes.tracks import make_track, sensor_label
+    from bson.evaluation.play import versions
+    from bson.evaluation.store import basis, files_digest
+    from bson.evaluation.suites import load_suite
+    from bson.learning import dataset as datasets
+
+    datasets.check()
+    if agent is None and name is not None:
+        raise UsageError("--id names one dataset, and without --agent there are three: give --agent, too.")
+    chosen, changes = load_suite(suite), overrides or {}
+    seeds = chosen.drawn(episodes, seed)
+    cells = [one for one in chosen.cells if cell in (None, one.name)]
+    if not cells:
+        known = ", ".join(repr(one.name) for one in chosen.cells)
+        raise UsageError(f"Suite '{suite}' has no cell {cell!r}. Choose one of {known}.")
+    cells = [dataclasses.replace(one, config=one.config.replace(**changes)) for one in cells]
+    for one in cells:
+        _check_spawn(one.config, seeds)
+    planned = []
+    for level, each in {"": agent}.items() if agent is not None else datasets.LEVELS.items():
+        called, made = agent_label(each), load_agent(each, untrained)
+        wanted = track or made.track, sensor or made.sensor
+        check_settings(made, [one.config for one in cells], make_track(*wanted))
+        usual = f"bson/{_word(chosen.name)}/{level or _word(pathlib.Path(called).stem)}-v0"
+        planned.append((called, made, wanted, name or usual, datasets.folder_of(name or usual, out)))
+    for called, made, wanted, its_name, folder in planned:
+        about = {
+            "algorithm_name": called,
+            "description": f"{len(seeds)} episodes of each of {len(cells)} cells of the suite {chosen.name}",
+            "suite": chosen.name,
+            "suite_digest": None if changes or cell is not None else chosen.digest,
+            "task_digest": files_digest(basis(called, wanted, cells, False)),
+            "seeds": list(map(int, seeds)),
+            "track": [wanted[0], sensor_label(wanted[1])],
+            "overrides": {key: str(value) for key, value in changes.items()},
+            "versions": versions(),
+            "command": command,
+        }
+        with _bar(called, False, quiet, None, False, len(seeds) * len(cells), 0) as bar:
+
+            def progress(steps, episode, bar=bar):
+                bar(steps, episode is not None)
+
+            datasets.write(folder, its_name, made, called, cells, wanted, seeds, about, progress)
+    return [folder for *_, folder in planned]
+
+
+def _word(name):
+    """`name` as a word of a dataset's id."""
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)
+
+
 def _loaded(results):
     """The Results given, or those read from the folder or file of that name."""
     return results if isinstance(results, Results) else Results.load(results)
@@ -610,6 +687,7 @@ def train(
     worlds: int = 16,
     preset: str = "fast",
     overrides: dict[str, Any] | None = None,
+    demonstrations: str | None = None,
     resume: bool = False,
     tensorboard: bool = False,
     executor: str | Executor = "local",
@@ -621,7 +699,8 @@ def train(
 
     algo: a name of bson.learning.train.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS. steps:
     control steps of all worlds together. worlds: how many are stepped at once. overrides: fields of TaskConfig that are
-    changed. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor; an
+    changed. demonstrations: of bc, a Minari dataset to learn from in place of an expert, its id or its folder. resume:
+    goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor; an
     executor with several workers trains the seeds side by side. Raises UsageError, also where the extra `agents` is
     missing.
     """
@@ -629,6 +708,15 @@ def train(
         from bson.learning.train import TrainConfig, hyperparameters
 
     chosen = hyperparameters(algo, preset)
+    if demonstrations is not None:
+        from bson.learning.dataset import load
+
+        if algo != "bc":
+            raise UsageError(f"--demonstrations are what bc learns from, not {algo}: leave them out.")
+        if executor != "local":
+            raise UsageError("--demonstrations are read in this process: leave --executor out.")
+        load(demonstrations)  # raises where there are none
+        chosen = dataclasses.replace(chosen, demonstrations=demonstrations)
     configs = [
         TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen)
         for one in range(seed, seed + seeds)

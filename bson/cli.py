@@ -194,6 +194,27 @@ def _replay(args):
     return 0
 
 
+def _dataset(args):
+    from bson import benchmark
+
+    written = benchmark.dataset(
+        args.agent,
+        args.out,
+        name=args.id,
+        suite=args.suite,
+        cell=args.cell,
+        episodes=args.episodes,
+        seed=args.seed,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        command="bson " + shlex.join(args.argv),
+    )
+    print(f"Written: {', '.join(map(str, written))}")
+    return 0
+
+
 def _export(args):
     from bson.episodes.tracks import make_track
     from bson.interfaces.export import export
@@ -237,6 +258,7 @@ def _train(args):
         worlds=args.worlds or 16,
         preset=args.preset,
         overrides=_overrides(args.set),
+        demonstrations=args.demonstrations,
         resume=args.resume,
         tensorboard=args.tensorboard,
         executor=args.executor,
@@ -250,6 +272,8 @@ def _train(args):
 
 
 def _train_warp(args):
+    if args.demonstrations is not None:
+        raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.tensorboard or args.executor != "local":
@@ -360,9 +384,10 @@ def _list(args):
     return 0
 
 
-def _add_setting(command):
+def _add_setting(command, agent="vfh"):
+    several = "" if agent else " (default: three datasets: tac as expert, ppo-paper as medium, and random)"
     command.add_argument(
-        "--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]"
+        "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{several}"
     )
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
@@ -492,6 +517,20 @@ def parser() -> Parser:
     replay.add_argument("--out", type=name, default=None, help="folder for results.json")
     replay.set_defaults(run=_replay)
 
+    dataset = commands.add_parser(
+        "dataset", help="write episodes to a Minari dataset, for offline learning (extra `data`)", **defaults
+    )
+    _add_setting(dataset, agent=None)
+    dataset.add_argument("--suite", type=name, default="paper", help="a name (bson list)")
+    dataset.add_argument("--cell", type=name, default=None, help="only this cell of the suite")
+    dataset.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    dataset.number("--seed", int, 0, 9 * 10**12, default=0, help="as for bson evaluate; 0: the suite's own seeds")
+    dataset.add_argument("--id", type=name, default=None, help="the dataset's (default: bson/SUITE/AGENT-v0)")
+    dataset.add_argument(
+        "--out", type=name, default=None, help="folder of datasets (default: Minari's, MINARI_DATASETS_PATH)"
+    )
+    dataset.set_defaults(run=_dataset)
+
     export = commands.add_parser(
         "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
     )
@@ -524,6 +563,13 @@ def parser() -> Parser:
     )
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
+    train.add_argument(
+        "--demonstrations",
+        type=name,
+        default=None,
+        metavar="DATASET",
+        help="of bc: a Minari dataset's id or folder, in place of the expert (extra `data`)",
+    )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)
     train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")

@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,18 @@ from macid import files
 BATCH = 16  # worlds at once
 
 
+class Watch(Protocol):
+    """Watches one episode that is played, from its reset on."""
+
+    def snap(self, action: np.ndarray, reward: float, terminated: bool, truncated: bool, /) -> object:
+        """Called after each control step, with the agent's action (2,), as it gave it, and what the step brought."""
+        ...
+
+    def end(self, episode: Episode, /) -> object:
+        """Called at the end."""
+        ...
+
+
 def run_episodes(
     make_agent: Callable[[], Any],
     config: TaskConfig,
@@ -29,15 +41,14 @@ def run_episodes(
     progress: Callable[..., object] | None = None,
     batch: int = BATCH,
     nthread: int = 0,
-    watch: Callable[[Session, int], Any] | None = None,
+    watch: Callable[[Session, int], Watch] | None = None,
 ) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives an agent, a callable, for one world; it is called with the Setting if it takes one (see
     bson.agents). progress(steps, episode): called after each control step of each world, with 1 and the Episode that
-    ended in this step, or None. watch(session, index): called as an episode begins in the world `index`; gives an
-    object whose snap(action) is called after each control step of the episode, and whose end(episode) at its end. An
-    episode does not depend on which others run beside it.
+    ended in this step, or None. watch(session, index): called as an episode begins in the world `index`; gives its
+    Watch. An episode does not depend on which others run beside it.
     """
     nworld = min(batch, len(seeds))
     setting = Setting.of(config, track)
@@ -63,11 +74,11 @@ def run_episodes(
     while playing:
         ids = sorted(playing)
         actions = np.stack([act(agents[index], observations[index], agent_name) for index in ids])
-        observation, _, terminated, truncated = session.step(ids, actions)
+        observation, reward, terminated, truncated = session.step(ids, actions)
         for row, index in enumerate(ids):
             recorders[index].snap(actions[row])
             if watch:
-                watching[index].snap(actions[row])
+                watching[index].snap(actions[row], reward[row], terminated[row], truncated[row])
             observations[index] = {name: value[row] for name, value in observation.items()}
             ended = terminated[row] or truncated[row]
             if ended:
@@ -244,7 +255,9 @@ def format_summary(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def replayed(episode: Episode, config: TaskConfig, track: LocalTrack, watch: Callable[[Session, int], Any]) -> Episode:
+def replayed(
+    episode: Episode, config: TaskConfig, track: LocalTrack, watch: Callable[[Session, int], Watch]
+) -> Episode:
     """Plays `episode` of `config` again by its actions, for `watch` (see run_episodes). The worlds of one seed and the
     same actions are equal, so what comes out is the same Episode."""
     actions = iter(() if episode.actions is None else episode.actions)

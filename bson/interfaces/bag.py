@@ -130,7 +130,7 @@ class Recording:
             data = self._carrier.store.serialize_cdr(message, topic.kind)
             self._writer.write(self._connections[topic.name], stamp, data)
 
-    def snap(self, action: np.ndarray) -> None:
+    def snap(self, action: np.ndarray, *_: Any) -> None:
         """Writes the world's state after the control step of `action` (2,)."""
         self._steps += 1
         self._write(self._reporter.step(action))

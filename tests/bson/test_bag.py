@@ -64,8 +64,8 @@ class Noted:
             {**kept, "seen": seen, "people": people[0], "moving": people[1], "counted": counted, "told": told}
         )
 
-    def snap(self, action):
-        self.held.snap(action)
+    def snap(self, action, *more):
+        self.held.snap(action, *more)
         self.actions.append(action)
         self._note()
 
@@ -392,7 +392,7 @@ def test_a_bag_gives_the_episode_back(noted, path):
 
 def test_an_episode_played_again_by_its_actions_is_the_same(noted):
     class Nobody:
-        def snap(self, action):
+        def snap(self, *told):
             pass
 
         end = snap
