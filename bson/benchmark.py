@@ -1,5 +1,5 @@
 """The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay`,
-`dataset` and `train` as calls.
+`ros`, `deploy`, `dataset` and `train` as calls.
 
     from bson import benchmark
 
@@ -56,6 +56,8 @@ def evaluate(
     ray_address: str | None = None,
     workers: int | None = None,
     engine: str = "native",
+    stamped: bool = True,
+    timeout: float = 10.0,
     command: str | None = None,
     told: Callable[[Results], None] | None = None,
     quiet: bool = False,
@@ -71,8 +73,10 @@ def evaluate(
     of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
     evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
     "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
-    command: the command that `results.json` names as its origin. told: called
-    with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
+    stamped, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2, in lockstep: whether it
+    sends TwistStamped, not Twist, and how long it may take [s]. command: the command that `results.json` names as its
+    origin. told: called with the Results once they are written, before anything is filmed. quiet: no progress on
+    stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
     with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
@@ -95,7 +99,9 @@ def evaluate(
     chosen = load_suite(suite)
     seeds = chosen.drawn(episodes, seed)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
-    make_agent = load_agent(agent, untrained)
+    if agent == ROS and (executor != "local" or engine != "native"):
+        raise UsageError("The agent 'ros' drives one world in this process: leave --executor and --engine out.")
+    make_agent = _Other(track, sensor) if agent == ROS else load_agent(agent, untrained)
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells], seen)
@@ -117,6 +123,8 @@ def evaluate(
         found = [
             {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
         ]
+        if agent == ROS:
+            make_agent = held.enter_context(_on_the_wire(stamped, timeout))
         with runner:
             played = play_cells(
                 runner,
@@ -173,6 +181,28 @@ def evaluate(
     return dataclasses.replace(
         found, written=(folder / "results.json", folder / "report.html", *bags, *(path for path, _ in films))
     )
+
+
+ROS = "ros"  # the agent that drives on the other side of ROS 2
+
+
+class _Other:
+    """What the agent on the other side of ROS 2 wants to be given."""
+
+    takes_setting = False
+
+    def __init__(self, track, sensor):
+        from bson.interfaces import ros
+
+        ros.check()
+        self.track, self.sensor = track or "local", sensor or "lidar2d"
+
+
+def _on_the_wire(stamped, timeout):
+    """A context manager of the agent on the other side of ROS 2, as run_episodes takes it."""
+    from bson.interfaces import ros_world
+
+    return ros_world.agent(stamped, timeout)
 
 
 def _check_record(out, engine):
@@ -336,6 +366,7 @@ def record(
     overrides: dict[str, Any] | None = None,
     untrained: bool = False,
     stamped: bool = True,
+    timeout: float = 10.0,
     command: str | None = None,
     quiet: bool = False,
 ) -> list[pathlib.Path]:
@@ -365,7 +396,7 @@ def record(
         chosen = load_suite(suite)
         cells, seeds, digest = chosen.cells, chosen.drawn(episodes, seed), chosen.digest
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in cells]
-    make_agent = load_agent(agent, untrained)
+    make_agent = _Other(track, sensor) if agent == ROS else load_agent(agent, untrained)
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells], seen)
@@ -391,12 +422,13 @@ def record(
     for cell in cells:
         called = functools.partial(_bag_name, cell, several)
         with (
+            _on_the_wire(stamped, timeout) if agent == ROS else contextlib.nullcontext(make_agent) as driver,
             _bar(name, several, quiet, cell.name, False, len(seeds), 0) as bar,
             new_folder(folder),
             bag.recordings(folder, called, _about(cell, content), stamped) as watch,
         ):
             run_episodes(
-                make_agent,
+                driver,
                 cell.config,
                 seen,
                 seeds,
@@ -459,6 +491,79 @@ def replay(bags: Sequence[str | pathlib.Path], out: str | pathlib.Path | None = 
             found.save(path)
         found = dataclasses.replace(found, written=(path,))
     return found
+
+
+def ros(
+    *,
+    suite: str | None = None,
+    seed: int = 0,
+    episodes: int | None = None,
+    track: str = "local",
+    sensor: Any = "lidar2d",
+    overrides: dict[str, Any] | None = None,
+    lockstep: bool = False,
+    stamped: bool = True,
+    timeout: float = 10.0,
+    told: Callable[[str], object] = print,
+) -> None:
+    """A world as a ROS 2 node, as `bson ros` does (extra `ros`; see bson.interfaces.ros_world).
+
+    suite: the suite whose episodes are played one after another, `episodes` of each cell; None: the episode `seed` of
+    the paper's setting, and then those that the node's service begins. lockstep: whether the world waits for one
+    command in each control step, at most `timeout` [s]. stamped: whether commands are TwistStamped, not Twist. told:
+    called with a line on each episode that ended. Raises UsageError.
+    """
+    from bson.episodes.tracks import make_track
+    from bson.evaluation.metrics import sns
+    from bson.evaluation.suites import load_suite
+    from bson.interfaces import ros as connection
+    from bson.interfaces import ros_world
+    from bson.task import TaskConfig
+
+    connection.check()
+    changes, seen = overrides or {}, make_track(track, sensor)
+    if suite is None:
+        if episodes is not None:
+            raise UsageError("--episodes is a number of a suite's episodes: give --suite, too.")
+        plan, config = None, TaskConfig().replace(**changes)
+        _check_spawn(config, [seed])
+    else:
+        chosen = load_suite(suite)
+        plan = [(cell.config.replace(**changes), one) for cell in chosen.cells for one in chosen.drawn(episodes, seed)]
+        for each, one in plan:
+            _check_spawn(each, [one])
+        config = plan[0][0]
+
+    def ended(episode):
+        how = episode.fault or ("arrived" if episode.arrived else "timed out")
+        told(
+            f"seed {episode.seed}: SNS {sns(episode):.1f}, {how} after {episode.duration:.1f} s, "
+            f"{episode.collisions} collisions"
+        )
+
+    ros_world.serve(plan, config, seen, seed, stamped, lockstep, timeout, ended)
+
+
+def deploy(
+    agent: Any,
+    *,
+    robot: str = "jackal",
+    period: float = 0.1,
+    untrained: bool = False,
+    stamped: bool = True,
+    timeout: float = 10.0,
+    goal_frames: Sequence[str] = (),
+) -> None:
+    """Drives a robot with an agent until it is interrupted, as `bson deploy` does (extra `ros`; see
+    bson.interfaces.ros_agent, also for the arguments). agent: as for `evaluate`. Raises UsageError."""
+    from bson.agents import agent_label, load_agent
+    from bson.interfaces import ros as connection
+    from bson.interfaces import ros_agent
+    from bson.robot import robot_config
+
+    connection.check()
+    factory = load_agent(agent, untrained)
+    ros_agent.drive(factory, agent_label(agent), robot_config(robot), period, stamped, timeout, goal_frames)
 
 
 def dataset(

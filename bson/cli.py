@@ -118,6 +118,8 @@ def _evaluate(args):
         ray_address=args.ray_address,
         workers=args.workers,
         engine=args.engine,
+        stamped=not args.twist,
+        timeout=args.timeout,
         command=_words(args.argv),
         told=lambda results: print(format_summary(results.content), flush=True),
     )
@@ -161,6 +163,39 @@ def _render(args):
     return 0
 
 
+def _ros(args):
+    from bson import benchmark
+
+    benchmark.ros(
+        suite=args.suite,
+        seed=args.seed,
+        episodes=args.episodes,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        lockstep=args.lockstep,
+        stamped=not args.twist,
+        timeout=args.timeout,
+        told=lambda text: print(text, flush=True),
+    )
+    return 0
+
+
+def _deploy(args):
+    from bson import benchmark
+
+    benchmark.deploy(
+        args.agent,
+        robot=args.robot,
+        period=args.period,
+        untrained=args.untrained_setting,
+        stamped=not args.twist,
+        timeout=args.timeout,
+        goal_frames=args.goal_frame,
+    )
+    return 0
+
+
 def _record(args):
     from bson import benchmark
 
@@ -175,6 +210,7 @@ def _record(args):
         overrides=_overrides(args.set),
         untrained=args.untrained_setting,
         stamped=not args.twist,
+        timeout=args.timeout,
         command="bson " + shlex.join(args.argv),
     )
     print(f"Written: {', '.join(map(str, written))}")
@@ -384,7 +420,7 @@ def _list(args):
     return 0
 
 
-def _add_setting(command, agent="vfh"):
+def _add_setting(command, agent: str | None = "vfh"):
     several = "" if agent else " (default: three datasets: tac as expert, ppo-paper as medium, and random)"
     command.add_argument(
         "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{several}"
@@ -397,6 +433,19 @@ def _add_setting(command, agent="vfh"):
         help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
     )
     _add_task(command)
+
+
+def _add_wire(command):
+    command.add_argument("--twist", action="store_true", help="commands as Twist, not as TwistStamped")
+    command.number(
+        "--timeout",
+        float,
+        0.0,
+        3600.0,
+        above=True,
+        default=10.0,
+        help="with ROS 2: how long a message may stay out [s]",
+    )
 
 
 def _add_task(command):
@@ -449,6 +498,7 @@ def _add_evaluation(command, out, suite):
         "--resume", action="store_true", help="go on with an evaluation that was cut short in the folder --out"
     )
     command.add_argument("--out", type=name, default=out, help="folder for results.json, report.html and videos/")
+    _add_wire(command)
     add_executor(command)
     command.set_defaults(run=_evaluate)
 
@@ -508,9 +558,52 @@ def parser() -> Parser:
     record.number(
         "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
     )
-    record.add_argument("--twist", action="store_true", help="commands as Twist, not as TwistStamped")
+    _add_wire(record)
     record.add_argument("--out", type=name, required=True, help="folder; each episode gets one in it, seed-N")
     record.set_defaults(run=_record)
+
+    ros = commands.add_parser("ros", help="a world as a ROS 2 node: sensors out, /cmd_vel in (extra `ros`)", **defaults)
+    ros.add_argument("--suite", type=name, default=None, help="play a suite's episodes, one after another (bson list)")
+    ros.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    ros.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
+    )
+    ros.add_argument("--track", type=name, default="local", help="local or global")
+    ros.add_argument("--sensor", type=name, default="lidar2d", help="lidar2d, lidar3d, camera, or your own")
+    pace = ros.add_mutually_exclusive_group()
+    pace.add_argument("--lockstep", action="store_true", help="the world waits for one command in each control step")
+    pace.add_argument("--real-time", action="store_true", help="one control step each period (the default)")
+    _add_wire(ros)
+    _add_task(ros)
+    ros.set_defaults(run=_ros)
+
+    deploy = commands.add_parser(
+        "deploy",
+        help="drive a robot with an agent, as a ROS 2 node: /scan, /odom and a goal in (extra `ros`)",
+        **defaults,
+    )
+    deploy.add_argument(
+        "--agent",
+        type=name,
+        default="vfh",
+        help="a name (bson list), a policy.npz, module:function, or file.py[:function]",
+    )
+    deploy.add_argument("--robot", type=name, default="jackal", help="whose limits hold (bson list), or a .toml")
+    deploy.number("--period", float, 0.0, 10.0, above=True, default=0.1, help="between two decisions [s]")
+    deploy.add_argument(
+        "--goal-frame",
+        type=name,
+        action="append",
+        default=[],
+        help="a frame of goals that is the odometry's, by another name; may be repeated. In BSON's worlds: map",
+    )
+    deploy.add_argument(
+        "--untrained-setting",
+        action="store_true",
+        help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
+    )
+    _add_wire(deploy)
+    deploy.set_defaults(run=_deploy)
 
     replay = commands.add_parser("replay", help="score recorded episodes again (extra `record`)", **defaults)
     replay.add_argument("bags", type=name, nargs="+", metavar="BAG", help="folders of bson record, or folders of these")

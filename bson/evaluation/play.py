@@ -33,7 +33,7 @@ class Watch(Protocol):
 
 
 def run_episodes(
-    make_agent: Callable[[], Any],
+    make_agent: Callable[..., Any],
     config: TaskConfig,
     track: LocalTrack,
     seeds: Sequence[int],
@@ -48,9 +48,11 @@ def run_episodes(
     make_agent: gives an agent, a callable, for one world; it is called with the Setting if it takes one (see
     bson.agents). progress(steps, episode): called after each control step of each world, with 1 and the Episode that
     ended in this step, or None. watch(session, index): called as an episode begins in the world `index`; gives its
-    Watch. An episode does not depend on which others run beside it.
+    Watch. An agent that has to be told of its world's state in this way has such a function as `told_by`, and drives
+    one world at a time. An episode does not depend on which others run beside it.
     """
-    nworld = min(batch, len(seeds))
+    told_by = getattr(make_agent, "told_by", None)
+    nworld, watch = min(1 if told_by else batch, len(seeds)), _both(told_by, watch)
     setting = Setting.of(config, track)
     agents = [made_for(make_agent, setting) for _ in range(nworld)]  # an agent that refuses does so at once
     session = Session(config, track, nworld, nthread=nthread)
@@ -90,6 +92,26 @@ def run_episodes(
             if ended:
                 begin(index)
     return [done[number] for number in range(len(seeds))]
+
+
+def _both(first, second):
+    """One `watch` for two, of which each may be None."""
+    if first is None or second is None:
+        return first or second
+
+    class Both:
+        def __init__(self, session, index):
+            self._watches = [each(session, index) for each in (first, second)]
+
+        def snap(self, *told):
+            for each in self._watches:
+                each.snap(*told)
+
+        def end(self, episode):
+            for each in self._watches:
+                each.end(episode)
+
+    return Both
 
 
 def pair(

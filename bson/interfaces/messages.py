@@ -10,7 +10,7 @@ A sensor whose key is its class's default has the topics and frame of the table 
 the key (`/key/scan`, frame `key_laser`), so that a robot may carry two scanners.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import mujoco
@@ -191,16 +191,24 @@ class Reporter:
     """Tells the episode of one world in messages: `begin()` after its reset, `step()` after each control step. The
     frames that stay, the map and the goal are told at the beginning only."""
 
-    def __init__(self, carrier: Carrier, world: Any, index: int = 0, stamped: bool = True, start: float = 0.0):
+    def __init__(
+        self,
+        carrier: Carrier,
+        world: Any,
+        index: int = 0,
+        stamped: bool = True,
+        start: float = 0.0,
+        without: Collection[str] = (),
+    ):
         """world: a bson.simulation.world.World. stamped: whether commands are TwistStamped. start: the stamp of the
-        reset [s]."""
+        reset [s]. without: the types of messages that the carrier can't make; their topics are left out."""
         self._carrier, self._world, self._index, self._start = carrier, world, index, start
-        self._sensors, self._command = world.sensors, COMMANDS[stamped]
-        self.topics = topics(world.sensors, stamped)
+        self._sensors, self._command, self._without = world.sensors, COMMANDS[stamped], without
+        self.topics = {name: one for name, one in topics(world.sensors, stamped).items() if one.kind not in without}
         self._kept: dict[str, Any] = {}
         self._beams: dict[str, np.ndarray] = {}
         self._told = 0  # the stamp of the last state [ns]
-        self._people_topics = self._make_people(world.config.people)
+        self._make_people(world.config.people)
 
     @property
     def now(self) -> int:
@@ -229,17 +237,19 @@ class Reporter:
         """The messages of the reset."""
         now = self.now
         yield Said(TOPICS["/clock"], now, self._clock(now))
-        yield Said(TOPICS["/tf_static"], now, self._statics())
+        if TOPICS["/tf"].kind not in self._without:
+            yield Said(TOPICS["/tf_static"], now, self._statics())
         yield Said(TOPICS["/map"], now, self._map())
         goal, _ = self._message(TOPICS["/goal_pose"], MAP)
         _fill(goal.pose.position, (*self._world.goal[self._index], 0.0))
         _turn(goal.pose.orientation, (1.0, 0.0, 0.0, 0.0))
         yield Said(TOPICS["/goal_pose"], now, goal)
-        markers, _ = self._message(TOPICS["/people/markers"], key="/none")
-        none = self._carrier.new("visualization_msgs/msg/Marker")
-        self._stamp(none.header, MAP)
-        none.action, markers.markers = _DELETE_ALL, [none]
-        yield Said(TOPICS["/people/markers"], now, markers)
+        if TOPICS["/people/markers"].kind not in self._without:
+            markers, _ = self._message(TOPICS["/people/markers"], key="/none")
+            none = self._carrier.new("visualization_msgs/msg/Marker")
+            self._stamp(none.header, MAP)
+            none.action, markers.markers = _DELETE_ALL, [none]
+            yield Said(TOPICS["/people/markers"], now, markers)
         yield from self._state(now)
 
     def step(self, action: np.ndarray | None = None) -> Iterator[Said]:
@@ -266,7 +276,8 @@ class Reporter:
         self._told = now
         world, index = self._world, self._index
         place, wxyz = self._base()
-        yield Said(TOPICS["/tf"], now, self._transforms("/tf", [(ODOM, BASE, place, wxyz)]))
+        if TOPICS["/tf"].kind not in self._without:
+            yield Said(TOPICS["/tf"], now, self._transforms("/tf", [(ODOM, BASE, place, wxyz)]))
         odometry, new = self._message(TOPICS["/odom"], ODOM)
         if new:
             odometry.child_frame_id = BASE
@@ -412,6 +423,10 @@ class Reporter:
         """Makes the messages of `number` people; only what changes is written at each step."""
         poses, _ = self._message(TOPICS["/people/poses"])
         poses.poses = [self._carrier.new("geometry_msgs/msg/Pose") for _ in range(number)]
+        self._bodies: list[Any] = []
+        self._texts: list[Any] = []
+        if TOPICS["/people/markers"].kind in self._without:
+            return
         markers, _ = self._message(TOPICS["/people/markers"])
         made = [self._carrier.new("visualization_msgs/msg/Marker") for _ in range(2 * number)]
         for person, (body, text) in enumerate(zip(made[:number], made[number:], strict=True)):
@@ -423,18 +438,16 @@ class Reporter:
             text.scale.z = _TEXT_SIZE
             body.color.a = text.color.a = 1.0
         markers.markers = made
-        return made[:number], made[number:]
+        self._bodies, self._texts = made[:number], made[number:]
 
     def _people(self, now):
         world, index = self._world, self._index
         people, velocity, lcf = world.people[index], world.people_velocity[index], world.lcf[index]
-        bodies, texts = self._people_topics
         poses, _ = self._message(TOPICS["/people/poses"], MAP)
-        markers, _ = self._message(TOPICS["/people/markers"])
-        turned, seconds = yaw_quaternion(people[:, 2]).tolist(), divmod(now, 1_000_000_000)
-        rows = zip(people[:, :2].tolist(), turned, lcf.tolist(), bodies, texts, poses.poses, strict=True)
-        for (x, y), (w, _, _, z), temper, body, text, pose in rows:
+        places, turned, seconds = people[:, :2].tolist(), yaw_quaternion(people[:, 2]), divmod(now, 1_000_000_000)
+        for (x, y), (w, _, _, z), pose in zip(places, turned.tolist(), poses.poses, strict=True):
             pose.position.x, pose.position.y, pose.orientation.w, pose.orientation.z = x, y, w, z
+        for (x, y), temper, body, text in zip(places, lcf.tolist(), self._bodies, self._texts, strict=False):
             for marker in (body, text):
                 stamp, place = marker.header.stamp, marker.pose.position
                 stamp.sec, stamp.nanosec = seconds
@@ -445,7 +458,8 @@ class Reporter:
                 for marker in (body, text):
                     colour = marker.color
                     colour.r, colour.g, colour.b = map(float, lcf_colour(temper)[:3])
-        yield Said(TOPICS["/people/markers"], now, markers)
+        if TOPICS["/people/markers"].kind not in self._without:
+            yield Said(TOPICS["/people/markers"], now, self._message(TOPICS["/people/markers"])[0])
         yield Said(TOPICS["/people/poses"], now, poses)
         states, new = self._message(TOPICS["/people/states"], MAP)
         points = np.zeros((1, len(people)), [(n, np.float32 if n in "xyz" else np.float64) for n in PERSON])
