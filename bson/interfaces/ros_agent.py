@@ -161,7 +161,10 @@ class AgentNode:
         if before is not None and stamp < ros.stamp_of(before):
             self._turned_back(topic, stamp, ros.stamp_of(before))
         self._last[topic] = message
-        self._decide()
+        if topic == SCAN and stamp == self._acted:  # the world tells its state again: it did not hear the command
+            self._send(self._decided, stamp)
+        else:
+            self._decide()
 
     def _turned_back(self, topic, stamp, before):
         ros.warn(
@@ -187,10 +190,11 @@ class AgentNode:
             if not self._ahead:
                 self._ahead = True
                 ros.warn(f"the goal's stamp is {ahead / 1e9:.0f} s ahead of {SCAN.name}: their clocks differ")
-        if any(topic not in self._last or abs(ros.stamp_of(self._last[topic]) - now) > slack for topic in self._needed):
-            return
-        if now == self._acted:  # the world tells its state again: it did not hear the command
-            self._send(self._decided, now)
+
+        def far(topic):
+            return topic not in self._last or abs(ros.stamp_of(self._last[topic]) - now) > slack
+
+        if now == self._acted or any(far(topic) for topic in self._needed):
             return
         if self._acted >= 0 and now - self._acted < 2 * slack - nanoseconds(0.1 * self._period) and not self._began:
             return  # scans come more often than decisions
