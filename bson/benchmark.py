@@ -197,6 +197,9 @@ class _Other:
         ros.check()
         self.track, self.sensor = track or "local", sensor or "lidar2d"
 
+    def __call__(self, setting=None):
+        raise TypeError("It drives once it is on the wire.")
+
 
 def _on_the_wire(stamped, timeout):
     """A context manager of the agent on the other side of ROS 2, as run_episodes takes it."""

@@ -89,8 +89,7 @@ class AgentNode:
         self._goal_frames = ("", *goal_frames)
         self._top = np.array([robot.max_speed, robot.max_yaw_rate])
         self._carrier = ros.RosCarrier()
-        self._agent: Agent | None = None
-        self._lidar: Lidar2D | None = None
+        self._made: tuple[Agent, Lidar2D] | None = None  # from the first scan on
         self._last: dict[Topic, Any] = {}
         self._acted, self._decided = -1, np.zeros(2)  # the last decision: its stamp [ns], the command
         self._heard = time.monotonic()
@@ -204,37 +203,36 @@ class AgentNode:
                 f"The goal is in the frame '{goal.header.frame_id}', the odometry in '{odometry.header.frame_id}': "
                 f"give goals in the odometry's frame, or --goal-frame {goal.header.frame_id} where both are the same."
             )
-        if self._agent is None:
-            self._make(scan)
-        self._check(scan, odometry, now)
+        if self._made is None:
+            self._made = self._make(scan)
+        agent, lidar = self._made
+        self._check(scan, odometry, now, lidar)
         if self._began:
-            reset_agent(self._agent, 0, self._name)
-        observation = self._observe(scan, odometry, goal)
+            reset_agent(agent, 0, self._name)
+        observation = self._observe(scan, odometry, goal, lidar)
         if np.isnan(np.asarray(scan.ranges, np.float32)).mean() > _BLIND:
             ros.warn(f"most beams of {SCAN.name} are not a number: the robot stops")
             command = np.zeros(2)
         elif float(np.hypot(*observation["goal"])) <= GOAL_RADIUS:
             command = np.zeros(2)
         else:
-            command = np.clip(act(self._agent, observation, self._name), -1.0, 1.0) * self._top
+            command = np.clip(act(agent, observation, self._name), -1.0, 1.0) * self._top
         self._acted, self._decided, self._began = now, command, False
         self._send(command, now)
 
     def _make(self, scan):
-        """Makes the agent for the sensors that the messages show. Raises AgentError, as Unsuited, where they are not
-        what it was made for."""
-        like = next((one for one in Setting.default().sensors if isinstance(one, Lidar2D)), Lidar2D())
-        self._lidar = lidar_of(scan, like)
-        sensors = (*([Imu()] if IMU in self._needed else []), self._lidar)
+        """The agent for the sensors that the messages show, and its Lidar2D. Raises AgentError, as Unsuited, where they
+        are not what it was made for."""
+        lidar = lidar_of(scan, Lidar2D())
+        sensors = (*([Imu()] if IMU in self._needed else []), lidar)
         config = TaskConfig()
         setting = Setting(self._period, self._robot, "local", sensors, MapFrame(config.map_size), config.horizon)
-        self._agent = made_for(self._factory, setting)
+        return made_for(self._factory, setting), lidar
 
-    def _check(self, scan, odometry, now):
+    def _check(self, scan, odometry, now, lidar):
         """Holds messages against what the agent was made for. Raises AgentError."""
-        assert self._lidar is not None  # since the first scan
-        if len(scan.ranges) != self._lidar.beams:
-            raise AgentError(f"{SCAN.name} changed from {self._lidar.beams} beams to {len(scan.ranges)}.")
+        if len(scan.ranges) != lidar.beams:
+            raise AgentError(f"{SCAN.name} changed from {lidar.beams} beams to {len(scan.ranges)}.")
         speed, most = abs(odometry.twist.twist.linear.x), _FAST * self._robot.max_speed
         if not math.isfinite(speed) or speed > most:
             raise AgentError(
@@ -250,7 +248,7 @@ class AgentNode:
                     f"{self._period:g} s."
                 )
 
-    def _observe(self, scan, odometry, goal):
+    def _observe(self, scan, odometry, goal, lidar):
         """The Local track's observation (bson.episodes.tracks.LocalTrack) of one robot."""
         place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
         pose = planar_pose(np.array([[place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z]]))
@@ -259,7 +257,7 @@ class AgentNode:
         observation = {
             "goal": geometry.to_body(aim - pose[:, :2], pose[:, 2]).astype(np.float32)[0],
             "velocity": np.clip(np.array([twist.linear.x, twist.angular.z]), -limit, limit).astype(np.float32),
-            "lidar": reading_of(scan, self._lidar),
+            "lidar": reading_of(scan, lidar),
         }
         if IMU in self._needed:
             force, rate = self._last[IMU].linear_acceleration, self._last[IMU].angular_velocity

@@ -5,7 +5,6 @@ time it takes one control step each period, with the last command.
 """
 
 import contextlib
-import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -18,6 +17,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack
 from bson.interfaces import ros
 from bson.interfaces.messages import COMMANDS, Reporter
+from bson.robot import RobotConfig
 from bson.task import TaskConfig
 
 PATIENCE = 60.0  # until the first command [s]
@@ -70,7 +70,7 @@ class WorldNode:
         self._came = -np.inf  # when the last command came, by the machine's clock [s]
         self._since, self._now, self._next = 0, 0, 1.0  # stamps of the reset and the state [ns]; of the next reset [s]
         self._answered = False
-        self._warned: set[str] = set()
+        self._warned: set[tuple[str, int]] = set()
         self.paused = self.restart = False
         self._reporter: Reporter | None = None
         self._subscription = wire.node.create_subscription(
@@ -319,8 +319,8 @@ class Server:
 
 def _plain(value):
     """A field of TaskConfig as a parameter's value."""
-    if dataclasses.is_dataclass(value):
-        return value.name  # a robot's
+    if isinstance(value, RobotConfig):
+        return value.name
     if isinstance(value, tuple):
         return [float(one) for one in value] if all(isinstance(one, int | float) for one in value) else None
     return value

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
+from bags import by_topic, equal, plain
 
 pytest.importorskip("rosbags", reason="needs the extra record")
 
@@ -88,16 +89,6 @@ def record(folder, config, sensors, agent="goal", stamped=True, seed=7):
         run_episodes(load_agent(agent), config, track, [seed], watch=watch)
     kept[0].path = pathlib.Path(folder) / f"seed-{seed}"
     return kept[0]
-
-
-def by_topic(path):
-    """{topic: [(time [ns], message), ...]} of the bag `path`, by rosbags."""
-    found = {}
-    with Reader(path) as reader:
-        for connection, time, data in reader.messages():
-            message = STORE.deserialize_cdr(data, connection.msgtype)
-            found.setdefault(connection.topic, []).append((time, message))
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -318,24 +309,6 @@ def test_a_depth_picture_lies_on_surfaces_by_its_camera_info(tmp_path):
         place = frames(told, index)[depth.header.frame_id]
         there = np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1) @ place[:3, :3].T + place[:3, 3]
         assert len(there) > 50 and np.quantile(off_surfaces(there, row, noted.boxes), 0.95) < 0.02
-
-
-def plain(message):
-    """A message of either reader as nested dicts, lists and numbers."""
-    if isinstance(message, str | bool | int | float | np.generic):
-        return message.item() if isinstance(message, np.generic) else message
-    if isinstance(message, np.ndarray | list | tuple | bytes | memoryview):
-        return [plain(each) for each in message]
-    names = message.__slots__ if hasattr(message, "__slots__") else vars(message)
-    return {name: plain(getattr(message, name)) for name in names if name[0] != "_" and name.islower()}
-
-
-def equal(one, other):
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
-    if isinstance(one, list):
-        return len(one) == len(other) and all(map(equal, one, other))
-    return one == other or (one != one and other != other)
 
 
 def test_another_reader_of_mcap_finds_the_same(path, told):

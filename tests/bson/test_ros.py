@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from bags import by_topic, equal, timeless
 
 pytest.importorskip("rclpy", reason="needs the extra ros: wheels of ROS 2 for Linux on x86-64")
 
@@ -110,27 +111,6 @@ def command(speed, yaw_rate=0.0, stamp=0):
 # --- two processes
 
 
-def plain(message):
-    """A message of rclpy or of rosbags as nested dicts, lists and numbers, without its stamps."""
-    if isinstance(message, str | bool | int | float | np.generic):
-        return message.item() if isinstance(message, np.generic) else message
-    if hasattr(message, "get_fields_and_field_types"):
-        names = message.get_fields_and_field_types()
-    elif hasattr(message, "__dataclass_fields__"):
-        names = [name for name in message.__dataclass_fields__ if not name.startswith("_")]
-    else:
-        return [plain(each) for each in message]
-    return {name: plain(getattr(message, name)) for name in names if name not in ("stamp", "map_load_time", "clock")}
-
-
-def equal(one, other):
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
-    if isinstance(one, list):
-        return len(one) == len(other) and all(map(equal, one, other))
-    return one == other or (one != one and other != other)
-
-
 def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_says(tmp_path):
     """A node that wraps vfh drives `bson evaluate --agent ros`; a third node hears what is said."""
     task = ["--suite", "smoke", "--episodes", "2", *WORDS]
@@ -165,8 +145,6 @@ def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_s
     times = [message.clock.sec * 10**9 + message.clock.nanosec for message in peer.heard["/clock"]]
     assert sorted(set(times)) == sorted(set(stamps))
     pytest.importorskip("rosbags", reason="needs the extra record")
-    from test_bag import by_topic
-
     benchmark.record("vfh", tmp_path / "bags", suite="smoke", episodes=1, overrides=SETS, quiet=True)
     told = by_topic(tmp_path / "bags" / f"seed-{scored.seed[0]}")
     for name in topics:
@@ -177,9 +155,9 @@ def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_s
         said = list(once.values())[: len(told[name])]
         if name in latched | {"/odom", "/scan", "/imu/data", "/people/poses", "/people/states", "/cmd_vel"}:
             for (_, one), other in zip(told[name], said, strict=True):
-                assert equal(plain(one), plain(other)), name
+                assert equal(timeless(one), timeless(other)), name
     for name in ("/people/markers", "/collisions", "/episode"):
-        assert any(equal(plain(told[name][-1][1]), plain(message)) for message in peer.heard[name]), name
+        assert any(equal(timeless(told[name][-1][1]), timeless(message)) for message in peer.heard[name]), name
 
 
 @pytest.mark.parametrize("killed", ["world", "agent"])
