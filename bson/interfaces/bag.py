@@ -22,13 +22,14 @@ from bson.interfaces.messages import COUNTERS, PROGRESS, Reporter, Topic
 from bson.simulation.data import QUANTITIES
 from macid.documents import convert, shown_path
 from macid.files import UsageError, check_folder, named, whole_folder
+from macid.state import RADIUS
 
 if TYPE_CHECKING:
     from bson.episodes.session import Session
 
 FORMAT = 1
 _KEY = "bson"
-_STATIC = ("seed", "goal", "fault", "lcf", "boxes", "shortest", "timed_out", "period", "robot_radius")
+_STATIC = ("seed", "goal", "fault", "lcf", "boxes", "shortest", "timed_out", "period", "robot_radius", "person_radius")
 _MOST_STEPS = 10_000_000  # of a bag that is read
 
 
@@ -208,6 +209,7 @@ class _About(msgspec.Struct):
     robot_radius: float
     steps: int
     nq: int
+    person_radius: float = RADIUS
     people_goals: list[tuple[float, float]] | None = None
     suite_digest: str | None = None
     task_digest: str | None = None
@@ -359,6 +361,7 @@ def _episode(about, rows, where):
         timed_out=about.timed_out,
         period=about.period,
         robot_radius=about.robot_radius,
+        person_radius=about.person_radius,
         people_goals=None if about.people_goals is None else np.array(about.people_goals).reshape(-1, 2),
     )
 

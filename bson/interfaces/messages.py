@@ -21,7 +21,7 @@ from bson.sensors import DepthCamera, Imu, Lidar, Lidar2D, Mounted, RgbCamera, S
 from bson.simulation.data import QUANTITIES
 from macid.drawing import lcf_colour
 from macid.geometry import yaw_quaternion
-from macid.state import HEIGHT, RADIUS
+from macid.state import HEIGHT
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 EXACT = 1e-9  # variance of what is exact; 0 would mean an unknown variance
@@ -429,11 +429,12 @@ class Reporter:
             return
         markers, _ = self._message(TOPICS["/people/markers"])
         made = [self._carrier.new("visualization_msgs/msg/Marker") for _ in range(2 * number)]
+        width = 2 * self._world.config.person_radius
         for person, (body, text) in enumerate(zip(made[:number], made[number:], strict=True)):
             for marker, name, kind in ((body, "people", _CYLINDER), (text, "lcf", _TEXT)):
                 marker.header.frame_id, marker.ns, marker.id, marker.type = MAP, name, person, kind
                 marker.pose.orientation.w = 1.0
-            _fill(body.scale, (2 * RADIUS, 2 * RADIUS, HEIGHT))
+            _fill(body.scale, (width, width, HEIGHT))
             body.pose.position.z, text.pose.position.z = HEIGHT / 2, HEIGHT + _TEXT_GAP
             text.scale.z = _TEXT_SIZE
             body.color.a = text.color.a = 1.0

@@ -5,6 +5,7 @@ time it takes one control step each period, with the last command.
 """
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -237,10 +238,9 @@ def agent(stamped: bool = True, timeout: float = TIMEOUT) -> Iterator[WorldNode]
         yield WorldNode(wire, stamped, timeout=timeout)
 
 
-_PARAMETERS = (  # fields of TaskConfig
-    "num_pedestrians", "pedestrian_density", "obstacle_density", "pedestrian_model", "lcf", "map_size", "map",
-    "control_period", "pedestrian_period", "horizon", "goal_distance", "robot",
-)  # fmt: skip
+_PARAMETERS = tuple(  # fields of the task
+    field.name for field in dataclasses.fields(TaskConfig) if field.name not in ("reward", "lcf_each")
+)
 
 
 class Server:
