@@ -57,6 +57,7 @@ def evaluate(
     workers: int | None = None,
     engine: str = "native",
     stamped: bool = True,
+    real_time: bool = False,
     timeout: float = 10.0,
     command: str | None = None,
     told: Callable[[Results], None] | None = None,
@@ -73,10 +74,10 @@ def evaluate(
     of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
     evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
     "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
-    stamped, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2, in lockstep: whether it
-    sends TwistStamped, not Twist, and how long it may take [s]. command: the command that `results.json` names as its
-    origin. told: called with the Results once they are written, before anything is filmed. quiet: no progress on
-    stderr.
+    stamped, real_time, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2: whether it
+    sends TwistStamped, not Twist; whether the world takes a control step each period and does not wait for a command;
+    how long a command may take in lockstep [s]. command: the command that `results.json` names as its origin. told:
+    called with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
     with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
@@ -111,6 +112,8 @@ def evaluate(
     if engine != "native":
         check_engine(engine, agent, wanted, executor, paired)
         follows_from["engine"] = engine
+    if agent == ROS and real_time:
+        follows_from["real_time"] = True
     if record:
         _check_record(out, engine)
     folder = None if out is None else _evaluation_folder(out)
@@ -124,7 +127,7 @@ def evaluate(
             {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
         ]
         if agent == ROS:
-            make_agent = held.enter_context(_on_the_wire(stamped, timeout))
+            make_agent = held.enter_context(_on_the_wire(stamped, real_time, timeout))
         with runner:
             played = play_cells(
                 runner,
@@ -156,6 +159,7 @@ def evaluate(
             frozen_seeds=seed == 0,
             command=command,
             **({} if engine == "native" else {"engine": engine}),
+            **({"real_time": True} if agent == ROS and real_time else {}),
         )
         found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
         if folder is None:
@@ -201,11 +205,11 @@ class _Other:
         raise TypeError("It drives once it is on the wire.")
 
 
-def _on_the_wire(stamped, timeout):
+def _on_the_wire(stamped, real_time, timeout):
     """A context manager of the agent on the other side of ROS 2, as run_episodes takes it."""
     from bson.interfaces import ros_world
 
-    return ros_world.agent(stamped, timeout)
+    return ros_world.agent(stamped, not real_time, timeout)
 
 
 def _check_record(out, engine):
@@ -369,6 +373,7 @@ def record(
     overrides: dict[str, Any] | None = None,
     untrained: bool = False,
     stamped: bool = True,
+    real_time: bool = False,
     timeout: float = 10.0,
     command: str | None = None,
     quiet: bool = False,
@@ -422,24 +427,20 @@ def record(
         "command": command,
     }
     written = []
-    for cell in cells:
-        called = functools.partial(_bag_name, cell, several)
-        with (
-            _on_the_wire(stamped, timeout) if agent == ROS else contextlib.nullcontext(make_agent) as driver,
-            _bar(name, several, quiet, cell.name, False, len(seeds), 0) as bar,
-            new_folder(folder),
-            bag.recordings(folder, called, _about(cell, content), stamped) as watch,
-        ):
-            run_episodes(
-                driver,
-                cell.config,
-                seen,
-                seeds,
-                name,
-                lambda steps, episode, bar=bar: bar(steps, episode is not None),
-                watch=watch,
-            )
-        written += [folder / called(one) for one in seeds]
+    with _on_the_wire(stamped, real_time, timeout) if agent == ROS else contextlib.nullcontext(make_agent) as driver:
+        for cell in cells:
+            called = functools.partial(_bag_name, cell, several)
+            with (
+                _bar(name, several, quiet, cell.name, False, len(seeds), 0) as bar,
+                new_folder(folder),
+                bag.recordings(folder, called, _about(cell, content), stamped) as watch,
+            ):
+
+                def progress(steps, episode, bar=bar):
+                    bar(steps, episode is not None)
+
+                run_episodes(driver, cell.config, seen, seeds, name, progress, watch=watch)
+            written += [folder / called(one) for one in seeds]
     return written
 
 

@@ -119,6 +119,7 @@ def _evaluate(args):
         workers=args.workers,
         engine=args.engine,
         stamped=not args.twist,
+        real_time=args.real_time,
         timeout=args.timeout,
         command=_words(args.argv),
         told=lambda results: print(format_summary(results.content), flush=True),
@@ -210,6 +211,7 @@ def _record(args):
         overrides=_overrides(args.set),
         untrained=args.untrained_setting,
         stamped=not args.twist,
+        real_time=args.real_time,
         timeout=args.timeout,
         command="bson " + shlex.join(args.argv),
     )
@@ -448,6 +450,12 @@ def _add_wire(command):
     )
 
 
+def _add_pace(command):
+    command.add_argument(
+        "--real-time", action="store_true", help="with --agent ros: a control step each period, not in lockstep"
+    )
+
+
 def _add_task(command):
     command.add_argument(
         "--set",
@@ -499,6 +507,7 @@ def _add_evaluation(command, out, suite):
     )
     command.add_argument("--out", type=name, default=out, help="folder for results.json, report.html and videos/")
     _add_wire(command)
+    _add_pace(command)
     add_executor(command)
     command.set_defaults(run=_evaluate)
 
@@ -559,6 +568,7 @@ def parser() -> Parser:
         "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
     )
     _add_wire(record)
+    _add_pace(record)
     record.add_argument("--out", type=name, required=True, help="folder; each episode gets one in it, seed-N")
     record.set_defaults(run=_record)
 

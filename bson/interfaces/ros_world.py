@@ -57,12 +57,14 @@ class WorldNode:
         stamped: bool = True,
         lockstep: bool = True,
         timeout: float = TIMEOUT,
+        driven: bool = False,
         track: str = "local",
         sensor: Any = "lidar2d",
     ):
-        """stamped: whether commands are TwistStamped. timeout: of a command in lockstep [s]. track, sensor: what the
-        agent on the other side wants to be given."""
-        self.track, self.sensor = track, sensor
+        """stamped: whether commands are TwistStamped. timeout: of a command in lockstep [s]. driven: whether the world
+        goes on in real time even where nobody publishes commands. track, sensor: what the agent on the other side wants
+        to be given."""
+        self.track, self.sensor, self._driven = track, sensor, driven
         self._wire, self._stamped, self._lockstep, self._timeout = wire, stamped, lockstep, timeout
         self._carrier, self._missing = ros.RosCarrier(), ros.missing()
         self._publishers: dict[str, Any] = {}
@@ -208,7 +210,19 @@ class WorldNode:
             self._spin(_LOOK)
             told = self._tell_again(told)
 
+    def _wait_for_somebody(self):
+        """Waits until somebody publishes commands, before the first step."""
+        begun = told = time.monotonic()
+        while not self._wire.check_publishers(self._topic):
+            self._spin(_LOOK)
+            told = self._tell_again(told)
+            if time.monotonic() - begun > PATIENCE:
+                raise AgentError(f"Nobody publishes {self._topic.kind} on {self._topic.name}: what is to drive?")
+        self._driven, self._due = True, time.monotonic() + self._period
+
     def _wait_for_period(self):
+        if not self._driven:
+            self._wait_for_somebody()
         told = time.monotonic()
         while (left := self._due - time.monotonic()) > 0 or self.paused:
             self._spin(_LOOK if self.paused else min(left, _LOOK))
@@ -232,10 +246,10 @@ def _all_topics(world):
 
 
 @contextlib.contextmanager
-def agent(stamped: bool = True, timeout: float = TIMEOUT) -> Iterator[WorldNode]:
-    """In a `with`: the agent `ros`, whatever drives on the other side of the wire, in lockstep."""
+def agent(stamped: bool = True, lockstep: bool = True, timeout: float = TIMEOUT) -> Iterator[WorldNode]:
+    """In a `with`: the agent `ros`, whatever drives on the other side of the wire; see WorldNode."""
     with ros.wire("bson") as wire:
-        yield WorldNode(wire, stamped, timeout=timeout)
+        yield WorldNode(wire, stamped, lockstep, timeout)
 
 
 _PARAMETERS = tuple(  # fields of the task
@@ -342,7 +356,7 @@ def serve(
     ended: called with each Episode.
     """
     with ros.wire("bson") as wire:
-        node = WorldNode(wire, stamped, lockstep, timeout)
+        node = WorldNode(wire, stamped, lockstep, timeout, driven=True)
         first = plan[0] if plan else (config, seed)
         server = Server(wire, node, first[0], track, first[1], plan is not None)
         with contextlib.closing(server):

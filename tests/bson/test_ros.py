@@ -241,7 +241,7 @@ def test_a_command_of_another_type_is_told():
 
 def test_in_real_time_each_period_takes_a_period_and_an_old_command_is_a_stop(capsys, monkeypatch):
     monkeypatch.setattr(ros_world, "STALE", 0.05)
-    with world(lockstep=False) as (node, _), Peer(CMD, {}) as peer:
+    with world(lockstep=False, driven=True) as (node, _), Peer(CMD, {}) as peer:
         until(lambda: peer.told["/cmd_vel"].get_subscription_count())
         assert node.wait().tolist() == [0.0, 0.0]  # no command yet
         peer.told["/cmd_vel"].publish(command(1.0))
