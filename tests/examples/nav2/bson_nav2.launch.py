@@ -3,8 +3,8 @@
 It needs a ROS 2 Jazzy with Nav2, and this project in the Python of that ROS (python3 -m venv --system-site-packages).
 BSON's world takes the place of the robot, its sensors, the map server and the localisation. A Nav2 stack can't be run
 in this project's tests: they hold only that the topics, frames, footprint and limits beside this file are BSON's. To
-score Nav2 on a suite, launch it with world:=false, beside `bson evaluate --agent ros --real-time --suite smoke`: Nav2 sends
-commands at its own pace.
+score Nav2 on a suite, launch it with world:=false, beside `bson evaluate --agent ros --real-time --suite smoke`: Nav2
+sends commands at its own pace.
 """
 
 import pathlib
