@@ -162,11 +162,12 @@ def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_s
 
 @pytest.mark.parametrize("killed", ["world", "agent"])
 def test_killing_either_side_ends_the_other_in_one_line(killed, tmp_path):
+    command = ["ros", "--lockstep"] if killed == "world" else ["record", "--agent", "ros", "--out", "bags"]
     endless = ["--suite", "smoke", "--episodes", "1", *WORDS, "--set", "horizon=1000000", "--set", "goal_distance=12"]
     with (
         Peer({}, {"/odom": "nav_msgs/msg/Odometry"}) as peer,
         running("deploy", "--agent", "stop", "--goal-frame", "map", "--timeout", "3") as agent,
-        running("record", "--agent", "ros", *endless, "--timeout", "3", "--out", "bags", cwd=tmp_path) as world,
+        running(*command, *endless, "--timeout", "3", cwd=tmp_path) as world,
     ):
         until = time.monotonic() + 120
         while len(peer.heard["/odom"]) < 20 and time.monotonic() < until:
@@ -179,6 +180,39 @@ def test_killing_either_side_ends_the_other_in_one_line(killed, tmp_path):
     assert other.returncode == 2 and ("/scan" if killed == "world" else "/cmd_vel") in line and "Traceback" not in err
     if killed == "agent":
         assert not (tmp_path / "bags").exists()
+
+
+@contextlib.contextmanager
+def deployed(agent):
+    """`bson deploy` in another thread of this process, which ends by itself once nobody publishes scans."""
+
+    def drive():
+        with pytest.raises(AgentError, match="/scan"):
+            benchmark.deploy(agent, goal_frames=["map"], timeout=20.0)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    yield
+    thread.join()
+
+
+def test_bson_ros_plays_a_suite_in_lockstep_and_tells_each_score():
+    said, config = [], {**SETS, "horizon": 8}
+    wanted = benchmark.evaluate("goal", "smoke", episodes=2, overrides=config, quiet=True)
+    with deployed("goal"):
+        benchmark.ros(suite="smoke", episodes=2, overrides=config, lockstep=True, told=said.append)
+    assert said == [
+        f"seed {row['seed']}: SNS {row['SNS']:.1f}, timed out after 0.8 s, {row['Coll']:.0f} collisions"
+        for row in wanted.content["episodes"]
+    ]
+
+
+def test_in_real_time_an_evaluation_takes_the_time_that_it_takes():
+    config, begun = {**SETS, "horizon": 10}, time.monotonic()
+    with deployed("goal"):
+        found = benchmark.evaluate("ros", "smoke", episodes=1, overrides=config, real_time=True, quiet=True)
+    assert time.monotonic() - begun > 1.0 and found.content["real_time"]
+    assert found.metrics["time"].tolist() == [1.0] and found.metrics["path_length"][0] > 0.1
 
 
 # --- a world, alone
