@@ -17,6 +17,7 @@ import numpy as np
 
 from bson.agents.contract import AgentError
 from bson.interfaces.messages import Topic
+from macid import start
 from macid.files import UsageError
 
 _NEEDED = ("geometry_msgs.msg", "nav_msgs.msg", "rosgraph_msgs.msg", "sensor_msgs.msg", "std_msgs.msg", "std_srvs.srv")
@@ -83,6 +84,13 @@ def warn(told: str) -> None:
     print(f"warning: {told}", file=sys.stderr, flush=True)
 
 
+def acknowledged(publisher: Any, seconds: float) -> None:
+    """Waits until everybody who listens has got what `publisher` sent, for at most `seconds` [s]."""
+    from rclpy.duration import Duration
+
+    publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+
 class Wire:
     """A node, and the executor that runs its callbacks, in this thread, while `spin` is called."""
 
@@ -120,6 +128,7 @@ def wire(name: str) -> Iterator[Wire]:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
+    start.cleaning_up()
     context = rclpy.Context()
     with contextlib.ExitStack() as held:
         try:

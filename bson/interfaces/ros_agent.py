@@ -303,6 +303,7 @@ class AgentNode:
                     )
         finally:
             self.stop()
+            ros.acknowledged(self._publisher, 0.5)
 
 
 def drive(

@@ -128,12 +128,7 @@ class WorldNode:
             publisher = self._publishers[topic.name]
             publisher.publish(message)
             if topic.latched and self._lockstep and publisher.get_subscription_count():
-                self._acknowledged(publisher)  # before what follows from it
-
-    def _acknowledged(self, publisher):
-        from rclpy.duration import Duration
-
-        publisher.wait_for_all_acked(Duration(seconds=1))
+                ros.acknowledged(publisher, 1.0)  # before what follows from it
 
     # --- what comes
 
