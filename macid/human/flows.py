@@ -94,6 +94,7 @@ def jittered(rng: np.random.Generator, places: np.ndarray, radius: float, length
     turned along it."""
     free = min(JITTER, max(0.0, (_apart(places, length)[1].min() - 2 * radius) / 2 - 0.005))
     moved = places + rng.uniform(-free, free, places.shape) / math.sqrt(2)
+    moved[:, 0] = np.clip(moved[:, 0], places[:, 0].min(), places[:, 0].max())
     moved[:, 1] = (moved[:, 1] + rng.uniform(0.0, length)) % length
     return moved
 

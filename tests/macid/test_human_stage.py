@@ -156,7 +156,7 @@ def test_people_replayed_as_themselves_are_where_they_were():
 
 
 def test_walking_blind_anticipates_nothing():
-    scenes = [replay.Scene(made_up(300, 300))]
+    scenes = [replay.Scene(made_up(200, 200))]
     speeds = [[scene.person.speed for scene in scenes]]
     (played,) = replay.play(scenes, blind, 0.1, Body(0.1), np.random.default_rng(0), speeds)
     values, _ = open_figures(scenes, played)
