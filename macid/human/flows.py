@@ -164,7 +164,7 @@ def two_ways_layout() -> Layout:
 
 def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
     """`side` people on each side, at rest, who start towards each other. The first half of the cast goes towards
-    greater y. As a crowd draws out on its way, it begins denser than half of what both together are to be in the middle."""
+    greater y. As a crowd draws out on its way, it begins denser than half of what both are to be in the middle."""
     density = DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
     length = side / (density * CORRIDOR.width)
     places, goals = [], []
