@@ -225,7 +225,10 @@ def _open(pedestrian, scenes, controller, names, made, period, body, wanted, opt
         if options.matched:
             speeds.append([np.nan_to_num(scene.person.speed, nan=1.0) for scene in scenes])
         else:
-            speeds.append([traits.draw_preferred_speed(rng, wanted, len(scene.first)) for scene in scenes])
+            drawn = [traits.draw_preferred_speed(rng, wanted, len(scene.first)) for scene in scenes]
+            # Companions want to walk at one speed.
+            together = [None if d is None else d[scene.group] for d, scene in zip(drawn, scenes, strict=True)]
+            speeds.append(together)
     if not is_learned(names[0]) and (options.matched or wanted is None or isinstance(wanted, float)):
         speeds, controller = speeds[:1], made[names[0]]
     if options.matched:  # some real people walk faster than the paper's
