@@ -153,8 +153,7 @@ def measure(
 
 def same_files(walks: list[Walks], known: dict[str, Any]) -> bool:
     """Whether `walks` are of just the files that the figures `known` were made from."""
-    recognised = all(walk.source for walk in walks)
-    return recognised and {walk.name for walk in walks} == {each["name"] for each in known["files"]}
+    return {walk.name for walk in walks} == {each["name"] for each in known["files"]} and all(w.known for w in walks)
 
 
 def _recording(path):
