@@ -171,7 +171,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
     """(values, curves) of files of the lab's. part: of each the share of its time of which alone they are.
 
     What the two ways do is told at the densities that SIDES come to, SIDE_DENSITIES."""
-    values, points, smooth, curves, crowds, through = {}, [], [], {}, [], []
+    values, points, smooth, curves, crowds, through, exits = {}, [], [], {}, [], [], []
     for walk in walks:
         low, high = (round(share * len(walk.position)) for share in part)
         position, place = walk.position[low:high], walk.source.place if walk.source else None
@@ -183,7 +183,9 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
                 times = measures.crossing_times(walk.position, walk.period, place.exit_y)
                 first, last = (0.1 + 0.7 * share for share in part)  # as of measures.flow
                 times = times[round(first * len(times)) : round(last * len(times)) + 1]
-                values[f"exit{place.exit:g}"] = (len(times) - 1) / (times[-1] - times[0]) / place.exit
+                flow = (len(times) - 1) / (times[-1] - times[0]) / place.exit
+                values[f"exit{place.exit:g}"] = flow
+                exits.append([place.exit, rounded(flow)])
         elif place is not None:
             crowds.append(two_ways(position, walk.period, place, towards(position)))
             ends = [own[~np.isnan(own)][[0, -1]] for own in walk.position[..., 1].T]
@@ -198,7 +200,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
             found = crossing.values(np.abs(crossing.density - density) <= measures.DENSITY_HALF)
             values[f"through{side}"] = 100.0 * float(np.mean(through))
             values |= dict(zip((f"two_speed{side}", f"lanes{side}", f"two_density{side}"), found, strict=True))
-    return values, curves
+    return values, {**curves, "exits": exits}
 
 
 def people(walks: list[Walks]) -> dict[str, Any]:

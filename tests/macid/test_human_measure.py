@@ -10,6 +10,14 @@ from macid.human import figures
 from macid.human.measure import Options, interval, measure, summary, table, troupe
 
 
+def answer(words):
+    """The exit code of a command."""
+    try:
+        return main(words)
+    except SystemExit as error:
+        return error.code
+
+
 @pytest.fixture
 def recording(tmp_path):
     """A csv of people who cross a square and of one who stands."""
@@ -68,7 +76,7 @@ def test_a_methods_seeds_are_its_policies_and_a_rules_are_chances():
     [
         (["--pedestrian", "nobody"], "nobody"),
         (["--pedestrian", "orca", "--radius", "3"], "--radius must be at most 0.5"),
-        (["--pedestrian", "orca", "--preferred-speed", "fast"], "--preferred-speed: "),
+        (["--pedestrian", "orca", "--preferred-speed", "fast"], "argument --preferred-speed: "),
         (["--pedestrian", "orca", "--preferred-speed", "9"], "--preferred-speed: "),
         (["--pedestrian", "orca", "--max-speed", "9"], "--max-speed must be at most 2"),
         (["--pedestrian", "orca", "--lcf", "1", "0"], "--lcf must be a range"),
@@ -81,7 +89,7 @@ def test_a_methods_seeds_are_its_policies_and_a_rules_are_chances():
 )
 def test_what_cannot_be_measured_is_one_line_and_writes_nothing(words, reason, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["human", "measure", *words, "--out", "out"]) == 2
+    assert answer(["human", "measure", *words, "--out", "out"]) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert reason in told[-1] and "error" in told[-1]
     assert not (tmp_path / "out").exists()
