@@ -68,24 +68,23 @@ def rounded(value: float, digits: int = 4) -> float | None:
 
 
 def open_figures(
-    scenes: list[Scene], played: Played, part: slice | None = None
+    scenes: list[Scene], played: Played, part: slice | None = None, real: Played | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(values, curves) of `scenes` as `played`. part: a part of each scene's samples, as a share of it, of which alone
-    they are."""
-    real = as_they_were(scenes)
+    they are. real: what as_they_were(scenes) gives, where it is at hand."""
+    real = as_they_were(scenes) if real is None else real
     people, errors, weights, meetings, speeds = [], [], [], [], []
     for number, scene in enumerate(scenes):
         position, velocity = played.position[number], played.velocity[number]
-        walks, known = played.walks[number], real.walks[number]
         counted = ~scene.stands
         if part is not None:
             low, high = (round(end * len(position)) for end in (part.start, part.stop))
             position, velocity = position[low:high], velocity[low:high]
             counted &= (scene.first >= low) & (scene.first < high)
-        person = measures.people(walks[:, counted], OPEN_PERIOD)
-        people.append(person)
-        speeds.append(scene.person.speed[counted])
-        errors.append(measures.displacement_errors(walks[:, counted], known[:, counted]))
+        walks, known = played.walks[number][:, counted], real.walks[number][:, counted]
+        people.append(measures.people(walks, OPEN_PERIOD))
+        speeds.append(measures.people(known, OPEN_PERIOD).speed)
+        errors.append(measures.displacement_errors(walks, known))
         weights.append(counted.sum())
         meetings.append(measures.meetings(position, velocity, scene.companions))
     speed, within, straightness = (np.concatenate([person[i] for person in people]) for i in range(3))
@@ -213,8 +212,9 @@ def people(walks: list[Walks]) -> dict[str, Any]:
     found, halves, curves = {}, [{}, {}], {}
     ends = [(0.0, 0.5), (0.5, 1.0)]
     if opens:
-        found, curves = open_figures(opens, as_they_were(opens))
-        halves = [open_figures(opens, as_they_were(opens), slice(*end))[0] for end in ends]
+        real = as_they_were(opens)
+        found, curves = open_figures(opens, real, real=real)
+        halves = [open_figures(opens, real, slice(*end), real)[0] for end in ends]
     if labs:
         more, lines = lab_figures(labs)
         found, curves = found | more, curves | lines

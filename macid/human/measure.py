@@ -162,7 +162,7 @@ def _recording(path):
     if walk.scene == "open":
         scenes = [Scene(walk)]
         played = replay.as_they_were(scenes)
-        values, curves = figures.open_figures(scenes, played)
+        values, curves = figures.open_figures(scenes, played, real=played)
         return [played], scenes, [values], curves, {}
     values, curves = figures.lab_figures([walk])
     return [], [], [values], curves, {}
@@ -198,7 +198,8 @@ def _model(pedestrian, walks, options, show):
     values, curves, played = [{} for _ in seeds], {}, []
     if scenes:
         played = _open(pedestrian, scenes, controller, names, made, period, body, wanted, options, show)
-        found = [figures.open_figures(scenes, each) for each in played]
+        real = replay.as_they_were(scenes)
+        found = [figures.open_figures(scenes, each, real=real) for each in played]
         if len(found) == 1:
             told["open_seeds"] = 1  # nothing in it is left to chance
         for index in range(len(found)):
