@@ -17,6 +17,7 @@ from macid.command import (
     MOST_TRAINING_SEED,
     MOST_WORLDS,
     Parser,
+    add_address,
     add_executor,
     check_words,
     name,
@@ -160,6 +161,28 @@ def _render(args):
     return 0
 
 
+def _live(args):
+    from bson import benchmark
+
+    benchmark.live(
+        args.agent,
+        args.out,
+        suite=args.suite,
+        cell=args.cell,
+        seed=args.seed,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        host=args.host,
+        port=args.port,
+        token=args.token,
+        stays=args.stay,
+        command=_words(args.argv),
+    )
+    return 0
+
+
 def _export(args):
     from bson.episodes.tracks import make_track
     from bson.interfaces.export import export
@@ -202,6 +225,7 @@ def _train(args):
         steps=int(args.steps),
         worlds=args.worlds or 16,
         preset=args.preset,
+        expert=args.expert,
         overrides=_overrides(args.set),
         resume=args.resume,
         tensorboard=args.tensorboard,
@@ -218,9 +242,10 @@ def _train(args):
 def _train_warp(args):
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
-    if args.seeds != 1 or args.tensorboard or args.executor != "local":
+    if args.seeds != 1 or args.tensorboard or args.executor != "local" or args.expert:
         raise UsageError(
-            "--engine warp trains one seed in this process: leave --seeds, --tensorboard and --executor out."
+            "--engine warp trains one seed in this process, without an expert: leave --seeds, --tensorboard, "
+            "--executor and --expert out."
         )
     from tqdm import tqdm
 
@@ -314,9 +339,9 @@ def _list(args):
     return 0
 
 
-def _add_setting(command):
+def _add_setting(command, agent="vfh", more=""):
     command.add_argument(
-        "--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]"
+        "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{more}"
     )
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
@@ -425,6 +450,21 @@ def parser() -> Parser:
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    live = commands.add_parser(
+        "live", help="a page to drive in, in 3D; what a person drives is scored (extra `live`)", **defaults
+    )
+    _add_setting(live, None, "; it drives at first, and you take over with the keys (default: you drive)")
+    live.add_argument("--suite", type=name, default=None, help="drive its settings and seeds (bson list)")
+    live.add_argument("--cell", type=name, default=None, help="the first setting, of a suite with several")
+    live.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the first one; with --suite, as of evaluate: 0 for its own seeds"
+    )
+    live.add_argument(
+        "--out", type=name, default="human", help="folder for results.json of what you drove, and for the episodes"
+    )
+    add_address(live)
+    live.set_defaults(run=_live)
+
     export = commands.add_parser(
         "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
     )
@@ -438,8 +478,12 @@ def parser() -> Parser:
     export.set_defaults(run=_export)
 
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
+    train.add_argument("--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from --expert")
     train.add_argument(
-        "--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo"
+        "--expert",
+        type=name,
+        default=None,
+        help="of bc: an agent, a policy file, or a folder of bson live, what people drove (default: the shipped ppo)",
     )
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"

@@ -19,6 +19,7 @@ MACID = (
     "learning export",
     "evaluate",
     "watch",
+    "live",
     "parallel_env",
     "bench benchmark command",
     "cli",

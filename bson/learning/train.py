@@ -23,7 +23,7 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.imitation import BcConfig, clone, demonstrate, select
+from bson.learning.imitation import BcConfig, clone, demonstrate, recorded, select
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from macid import start
@@ -398,6 +398,8 @@ def train_apart(
     for config in configs:
         carried += carried_task(config.setting) + carried_code(config.algo)
         expert = getattr(config.hyperparameters, "expert", "")
+        if pathlib.Path(expert).is_dir() and expert not in learned.names():
+            raise UsageError("--expert FOLDER is for trainings in this process: leave --executor out.")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
     with tqdm(
         total=sum(config.steps for config in configs),
@@ -430,8 +432,12 @@ def _train_here(configs, out, show):
 
 
 def _expert(config):
-    """The factory of BC's expert. Raises UsageError where the expert was trained in a setting other than `config`'s."""
-    expert = learned.load(config.hyperparameters.expert)
+    """The factory of BC's expert, or the episodes that people drove. Raises UsageError where the expert was trained, or
+    people drove, in a setting other than `config`'s."""
+    name = config.hyperparameters.expert
+    if name not in learned.names() and pathlib.Path(name).is_dir():
+        return recorded(name, config.setting)
+    expert = learned.load(name)
     try:
         expert(Setting.of(config.setting, _TRACK))
     except Unsuited as error:
@@ -451,7 +457,10 @@ def _train_bc(config, keeper, show):
 
     expert = _expert(config)
     seed = 1_000_000 * (config.seed + 1)
-    episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
+    if isinstance(expert, list):
+        episodes = expert
+    else:
+        episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
     x, action = select(episodes, hyperparameters.keep)
 
     def each(epoch, loss, held_out):

@@ -8,9 +8,10 @@ import numpy as np
 
 from macid import metrics
 from macid.crowd import Crowd, CrowdConfig, snapshot
+from macid.drawing import lcf_colour
 from macid.evaluate import level_name, level_seed, table_lcf, usual_period
 from macid.layout import NoFreeSpace, load_level, person_count, sample_goals
-from macid.live.page import Page, lcf_colours, lcf_reading
+from macid.live.page import Page, lcf_reading
 from macid.pedestrians import is_learned, make_controller, model_names
 from macid.watch import RULE_RGB
 
@@ -20,8 +21,8 @@ TICK = 0.1  # [s], or one decision where that lasts longer
 @dataclasses.dataclass(frozen=True)
 class CrowdSetting:
     """What a live crowd is: the names of a pedestrian model and a level; how many people (None: the level's own); their
-    range of LCFs and the time between decisions [s] (None: as Table II has them); and whether a person who arrives walks
-    on to a new goal, or leaves, as in evaluations."""
+    range of LCFs and the time between decisions [s] (None: as Table II has them); and whether a person who arrives
+    walks on to a new goal, or leaves, as in evaluations."""
 
     pedestrian: str = "macid"
     level: int | str = 2
@@ -59,6 +60,7 @@ class LiveCrowd:
         self._decisions = max(1, round(TICK / config.period))
         self.period = self._decisions * config.period
         self.reset(seed)
+        self._crowd.rollout(self._episode, self._controller, self._decisions, snapshot)  # compiled now, not in a tick
 
     def reset(self, seed: int) -> None:
         """Begins the episode of `seed`. Raises NoFreeSpace."""
@@ -109,8 +111,9 @@ class LiveCrowd:
         back[0, who] = True
         goals = self._goals()
         goals[who] = new
+        there = jnp.asarray(places, jnp.float32)
         self._episode = self._episode._replace(
-            physics=self._crowd.engine.place(self._episode.physics, jnp.asarray(back), jnp.asarray(places, jnp.float32)),
+            physics=self._crowd.engine.place(self._episode.physics, jnp.asarray(back), there),
             walking=self._episode.walking | back,
             goals=jnp.asarray(goals[None]),
         )
@@ -144,7 +147,7 @@ class LiveCrowd:
     def colours(self) -> np.ndarray:
         """As LiveWorld.colours; rules have no use for LCFs, and their people have one colour."""
         learned = is_learned(self.setting.pedestrian)
-        return lcf_colours(self.lcf) if learned else np.tile(RULE_RGB, (len(self.lcf), 1))
+        return lcf_colour(self.lcf) if learned else np.tile(RULE_RGB, (len(self.lcf), 1))
 
     def set_lcf(self, lcf: float | np.ndarray, person: int | None = None) -> None:
         """As LiveWorld.set_lcf."""
@@ -169,7 +172,8 @@ class CrowdPage(Page):
         size = load_level(setting.level).size
         density = min(1.0, round(setting.number / max(1, person_count(1.0, size)), 2))
         self._given = density  # the density that stands for the setting's own number
-        super().__init__(client, f"macid live: {level_name(setting.level)}", model_names(), setting.pedestrian, density, seed)
+        title = f"macid live: {level_name(setting.level)}"
+        super().__init__(client, title, model_names(), setting.pedestrian, density, seed)
 
     def make_world(self) -> LiveCrowd:
         """As Page.make_world."""

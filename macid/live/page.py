@@ -1,7 +1,8 @@
 """A live page: a world that is simulated and drawn as time goes by, and the controls that crowds and robots share.
 
-Each page has a thread. It moves its world on in ticks, as fast as the clock, and draws the page 30 times a second, places
-interpolated within a tick. What a person does on the page waits until the thread has a moment for it, between two frames.
+Each page has a thread. It moves its world on in ticks, as fast as the clock, and draws the page 30 times a second,
+places interpolated within a tick. What a person does on the page waits until the thread has a moment for it, between
+two frames.
 """
 
 import contextlib
@@ -17,16 +18,17 @@ import mujoco
 import numpy as np
 
 from macid import geometry
-from macid.drawing import GOAL_RGB, lcf_colour
+from macid.drawing import GOAL_RGB
 from macid.files import one_line
 from macid.live.shapes import WORLD, Figures, Goal, Model
 from macid.state import MAX_LCF
 
 FPS = 30  # frames a second
-_LAG = 0.1  # a world that is slower than the clock falls behind, it does not catch up: a frame lasts at most so long [s]
+_LAG = 0.1  # the most that a frame lasts: a world that is slower than the clock falls behind [s]
 _TELL_EVERY = 0.25  # between readings [s]
 _SETTLES = 0.4  # a slider that needs a new world has rested so long [s]
 _TRAIL = 4.0  # of people's paths [s]
+_CALM = 0.12  # the share of its lag that a camera behind somebody turns with each frame
 _DOT = 0.12  # half a side of what marks people's goals [m]
 _SKY = (226, 235, 244)
 CAMERAS = ("behind", "beside", "map")  # what a camera follows: place and heading, the place, nothing
@@ -129,6 +131,9 @@ class Page:
     def over(self) -> None:
         """Called once when the episode is over."""
 
+    def closed(self) -> None:
+        """Called in the page's thread as the page ends."""
+
     def next_seed(self) -> int:
         """The seed after this one."""
         return self.seed + 1
@@ -180,6 +185,7 @@ class Page:
                 with contextlib.suppress(Exception):
                     self.tell("**This page has failed.** The terminal says why. Load the page again.")
         finally:
+            self.closed()
             if self.world is not None:
                 self.world.close()
             self.world = None
@@ -270,6 +276,7 @@ class Page:
             self._shapes.still(world.boxes)
         self._path, self._here, self._phase = world.qpos()[None], world.here(), 0.0
         self._trail = [self._people(self._path[0])[:, :2]]
+        self._heading = float(self.centre(self._path[0])[2])
         self._click(None)
         self.repaint()
 
@@ -290,8 +297,9 @@ class Page:
         turn = 0.0
         if self._camera.value == "map":
             x = y = 0.0
-        elif self._camera.value == "behind":
-            turn = math.pi / 2 - yaw
+        elif self._camera.value == "behind":  # a camera that turned as sharply as the robot would make giddy
+            self._heading += _CALM * float(geometry.wrap_angle(yaw - self._heading))
+            turn = math.pi / 2 - self._heading
         self._root.wxyz = geometry.yaw_quaternion(np.array(turn))
         self._root.position = (*-geometry.rotate(np.array([x, y]), np.array(turn)), 0.0)
 
@@ -380,10 +388,8 @@ class Page:
         self._readings = gui.add_markdown("")
         self.add_controls()
         with gui.add_folder("Time"):
-            self._button("Pause or go on", self.pause)
-            self._button("Step", self.step)
-            self._button("Reset", self.reset)
-            self._button("Next seed", self.next)
+            buttons = {"Pause": self.pause, "Step": self.step, "Reset": self.reset, "Next": self.next}
+            gui.add_button_group("Episode", list(buttons)).on_click(lambda event: self.ask(buttons[event.target.value]))
             self._seed_box = gui.add_number("Seed", self.seed, min=0, max=2**31 - 1, step=1)
             self._on(self._seed_box, self._seed_changed)
             self.add_time_controls()
@@ -527,11 +533,6 @@ def lcf_reading(lcf: np.ndarray) -> tuple[str, str]:
     if not len(lcf):
         return "LCF", "nobody"
     return "LCF: mean, least, most", f"{np.mean(lcf):.2f}, {np.min(lcf):.2f}, {np.max(lcf):.2f}"
-
-
-def lcf_colours(lcf: np.ndarray) -> np.ndarray:
-    """(K, 3) the colours of films."""
-    return np.reshape(lcf_colour(lcf), (-1, 3))
 
 
 def _table(rows):

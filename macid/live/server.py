@@ -1,8 +1,9 @@
 """The server of live pages: one port, a token where others can reach it, and pages that come and go.
 
 viser draws the pages and carries their controls. It listens on a port of its own on the loopback address; what stands
-here listens on the port that the user chose, lets in who may come in, and passes messages on. A page's world begins once
-the page has told its keys' socket a name that only it knows, which takes the token: viser's own port gives no world away.
+here listens on the port that the user chose, lets in who may come in, and passes messages on. A page's world begins
+once the page has told its keys' socket a name that only it knows, which takes the token: viser's own port gives no
+world away.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ import threading
 import time
 import urllib.parse
 import urllib.request
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
@@ -27,7 +29,7 @@ from macid.files import UsageError
 
 PORT = 8080
 MOST_PAGES = 8  # at once: each has a world, and they share the processor
-LINGER = 10.0  # after the last page has gone, the server waits so long for another one, such as the same one reloaded [s]
+LINGER = 10.0  # so long the server waits for another page once the last one has gone: for one that is loaded again [s]
 LEAST_TOKEN = 8  # characters
 _MOST_KEYS = 1000  # characters of a message of the keys' socket
 _MOST_MESSAGE = 50 << 20  # of viser's [bytes]
@@ -82,9 +84,9 @@ def load_viser() -> Any:
 class Server:
     """Serves pages until it is closed; use it in a `with`.
 
-    make_page(client): a LivePage for a new page, whose viser ClientHandle is `client`. title: the browser's. host, port:
-    where to listen; port 0 is any free one. token: what a browser must bring; needed where `host` is not this machine's
-    alone. Raises UsageError, where the port is in use, too.
+    make_page(client): a LivePage for a new page, whose viser ClientHandle is `client`. title: the browser's. host,
+    port: where to listen; port 0 is any free one. token: what a browser must bring; needed where `host` is not this
+    machine's alone. Raises UsageError, where the port is in use, too.
 
     port, url: where it listens; url has the token.
     """
@@ -122,6 +124,8 @@ class Server:
             )
         except (OSError, OverflowError) as error:
             raise UsageError(_why_not(host, port, error)) from None
+        # A page's last frame may be drawn after its browser has gone.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         try:
             with _silent():
                 self._viser = viser.ViserServer("127.0.0.1", 0, verbose=False)
@@ -277,15 +281,15 @@ class Server:
             if self._closed or client.client_id in self._early:
                 self._early.discard(client.client_id)
                 return
-            room = len(self._pages) < MOST_PAGES
-            if room:
-                name = self._names[client.client_id] = secrets.token_urlsafe(12)
+            name = secrets.token_urlsafe(12) if len(self._pages) < MOST_PAGES else ""
+            if name:
+                self._names[client.client_id] = name
                 self._pages[name] = self._make_page(client)
                 self._left = None
-        if not room:
+        if name:
+            client.gui.add_html(f'<span data-live-page="{name}"></span>', order=-1)
+        else:
             client.gui.add_markdown(f"**{MOST_PAGES} pages are open.** Close one of them, then load this one again.")
-            return
-        client.gui.add_html(f'<span data-live-page="{name}"></span>', order=-1)
 
     def _went(self, client):
         """A page has gone."""

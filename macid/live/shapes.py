@@ -4,7 +4,6 @@ Shapes of one kind are one node of the page with many copies, each with its own 
 200 is four nodes. Places are in the world's frame, under the node WORLD, which is moved so that a camera follows.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -17,34 +16,30 @@ from macid.drawing import FIGURE, GOAL, GOAL_RGB
 
 WORLD = "/world"
 _GONE = -1000.0  # height at which what is not there is put [m]
-_BOX, _PLANE, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH
-_ROUND = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
-_TUBES = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE
+_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"))
+    for kind in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
+)
 _GROUPS = 3  # MuJoCo draws the groups below it
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom that leaves its colour to its material
 
 
 def _unit(kind: int) -> trimesh.Trimesh:
-    """The shape `kind` that a scale makes to any of its kind: half lengths, or radius and half length, of 1 m."""
+    """The shape that a scale makes to any of its kind: half lengths, or radius and half length, of 1 m."""
     if kind == _BOX:
         return trimesh.creation.box(extents=(2, 2, 2))
-    if kind in _ROUND:
+    if kind in (_SPHERE, _ELLIPSOID):
         return trimesh.creation.icosphere(subdivisions=2)
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+    if kind == _CYLINDER:
         return trimesh.creation.cylinder(radius=1, height=2, sections=24)
     raise ValueError(f"There is no shape for MuJoCo's kind of geom {kind}.")
 
 
 def _scale(kind: int, sizes: np.ndarray) -> np.ndarray:
     """The scales (N, 3) of `_unit` for geoms with the `sizes` (N, 3) as MuJoCo has them."""
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+    if kind == _SPHERE:
         return np.repeat(sizes[:, :1], 3, axis=1)
-    return sizes[:, [0, 0, 1]] if kind == mujoco.mjtGeom.mjGEOM_CYLINDER else sizes
-
-
-def _flat(kind: int) -> bool:
-    """Whether faces of a shape keep their edges."""
-    return kind == _BOX
+    return sizes[:, [0, 0, 1]] if kind == _CYLINDER else sizes
 
 
 class Batch:
@@ -121,25 +116,25 @@ class Model:
         model, rgba = self.model, geom_rgba(self.model)
         kinds, sizes = model.geom_type[geoms], model.geom_size[geoms]
         keys = {}
-        for geom, kind, size in zip(geoms, kinds, sizes, strict=True):
+        for geom, kind, size in zip(geoms, kinds.tolist(), sizes, strict=True):
             if kind == _MESH:
                 key = kind, int(model.geom_dataid[geom])
             else:  # a capsule of other proportions is another shape
-                key = (kind, *size[:2]) if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else (kind,)
+                key = (kind, *size[:2]) if kind == _CAPSULE else (kind,)
             keys.setdefault(key, []).append(geom)
         for number, (key, chosen) in enumerate(keys.items()):
             kind, scales = key[0], np.ones((len(chosen), 3))
             if kind == _MESH:
                 mesh = _mesh(model, key[1])
-            elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            elif kind == _CAPSULE:
                 mesh = trimesh.creation.capsule(radius=key[1], height=2 * key[2])
                 mesh.apply_translation([0, 0, -mesh.bounds.mean(axis=0)[2]])
-            elif kind in (_BOX, *_ROUND, *_TUBES):
+            elif kind in (_BOX, _SPHERE, _ELLIPSOID, _CYLINDER):
                 mesh, scales = _unit(kind), _scale(kind, model.geom_size[chosen])
             else:  # heights and signed distances, which no robot or room here is made of
                 continue
             colours = rgba[chosen]
-            yield Batch(scene, f"{name}{number}", mesh, scales, colours[:, :3], colours[:, 3], _flat(kind)), chosen
+            yield Batch(scene, f"{name}{number}", mesh, scales, colours[:, :3], colours[:, 3], kind == _BOX), chosen
 
     def still(self, boxes: np.ndarray) -> None:
         """Puts the boxes (B, 5) where an episode has them."""
@@ -165,8 +160,8 @@ class Model:
 
 
 def geom_rgba(model: mujoco.MjModel) -> np.ndarray:
-    """The colours (ngeom, 4) of a model's geoms in [0, 1], as MuJoCo draws them: the material's, unless the geom has one
-    of its own."""
+    """The colours (ngeom, 4) of a model's geoms in [0, 1], as MuJoCo draws them: the material's, unless the geom has
+    one of its own."""
     rgba = model.geom_rgba.astype(float)
     for geom in np.flatnonzero(model.geom_matid >= 0):
         if np.allclose(rgba[geom], _DEFAULT_RGBA):
@@ -210,9 +205,10 @@ class Figures:
     def __init__(self, scene: Any, number: int, clicked: Any):
         self._number, self._batches = number, []
         for index, part in enumerate(FIGURE if number else ()):
-            scales = np.tile(_scale(part.kind, np.array([part.size])), (number, 1))
+            scales = np.tile(_scale(int(part.kind), np.array([part.size])), (number, 1))
             colours = part.colour(np.full((number, 3), 0.5))
-            batch = Batch(scene, f"people{index}", _unit(part.kind), scales, colours, flat=_flat(part.kind))
+            kind = int(part.kind)
+            batch = Batch(scene, f"people{index}", _unit(kind), scales, colours, flat=kind == _BOX)
             batch.node.on_click(lambda event: clicked(event.instance_index))
             self._batches.append((part, batch))
 
@@ -236,15 +232,14 @@ class Goal:
     def __init__(self, scene: Any):
         self._batches = []
         for index, part in enumerate(GOAL):
-            scales, colours = _scale(part.kind, np.array([part.size])), part.colour(np.array([GOAL_RGB]))
-            alphas = np.array([part.alpha])
-            batch = Batch(
-                scene, f"goal{index}", _unit(part.kind), scales, colours, alphas, _flat(part.kind), part.alpha == 1.0
-            )
+            kind, alphas = int(part.kind), np.array([part.alpha])
+            scales, colours = _scale(kind, np.array([part.size])), part.colour(np.array([GOAL_RGB]))
+            batch = Batch(scene, f"goal{index}", _unit(kind), scales, colours, alphas, kind == _BOX, part.alpha == 1.0)
             self._batches.append((part, batch))
 
     def place(self, goal: np.ndarray | None) -> None:
         """Puts the goal at `goal` (2,) [m]; None: it is not there."""
         for part, batch in self._batches:
-            where = np.array([0, 0, _GONE]) if goal is None else np.array(part.place) + [*goal, 0.0]
-            batch.place(where[None])
+            x, y, z = part.place
+            where = (0, 0, _GONE) if goal is None else (goal[0] + x, goal[1] + y, z)
+            batch.place(np.array([where]))

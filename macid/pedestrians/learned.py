@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 
 from macid.geometry import Array
@@ -25,7 +26,7 @@ class Learned:
 
     def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array) -> Array:
         """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
-        state = type(state)(*map(jnp.asarray, state))
+        state = jax.tree.map(jnp.asarray, state)
         observed = observe(state, jnp.asarray(boxes), jnp.asarray(goals))
         action = self.policy.act(jnp.asarray(observed, jnp.float32), jnp.asarray(lcf, jnp.float32))
         return to_command(to_velocity(action), state.yaw)

@@ -15,10 +15,20 @@ import pytest
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = (
-    "--headless=new --no-sandbox --disable-dev-shm-usage --remote-debugging-port=0 --no-first-run --mute-audio "
-    "--disable-background-networking --disable-extensions --use-gl=angle --use-angle=swiftshader "
-    "--enable-unsafe-swiftshader --window-size=900,600 --force-device-scale-factor=1"
-).split()
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--remote-debugging-port=0",
+    "--no-first-run",
+    "--mute-audio",
+    "--disable-background-networking",
+    "--disable-extensions",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=900,600",
+    "--force-device-scale-factor=1",
+)
 WAIT = 60.0  # for what a page is to show; software WebGL beside other work is slow [s]
 
 
