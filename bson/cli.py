@@ -339,7 +339,7 @@ def _list(args):
     return 0
 
 
-def _add_setting(command, agent="vfh", more=""):
+def _add_setting(command, agent: str | None = "vfh", more=""):
     command.add_argument(
         "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{more}"
     )

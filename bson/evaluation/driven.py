@@ -120,7 +120,8 @@ class Driven:
 def score_so_far(drive: Drive) -> list[tuple[str, str]]:
     """(name, value) of the score so far, and of its parts (eq. 6)."""
     names = ("start_distance", "distance", "travelled", "time")
-    so_far = metrics.Driven(*(float(drive.now(name)) for name in names), int(drive.now("collisions")))
+    start, left, driven, time = (float(drive.now(name)) for name in names)
+    so_far = metrics.Driven(start, left, driven, time, int(drive.now("collisions")))
     parts = (metrics.route_completion, metrics.speed_score, metrics.path_efficiency)
     shown = ", ".join(f"{part(so_far):.2f}" for part in parts)
     return [("SNS so far", f"{metrics.sns(so_far):.1f}"), ("RC, SP, PE", shown)]

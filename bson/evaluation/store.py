@@ -118,9 +118,10 @@ class Stored:
             output_folder(self._folder)
             write_json(self._folder / "basis.json", self._basis)
             self._goes_on = True
-        fields = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
+        fields: dict[str, Any] = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
         content = io.BytesIO()
-        np.savez(content, **{name: value for name, value in fields.items() if value is not None}, **(more or {}))
+        kept: dict[str, Any] = fields | (more or {})
+        np.savez(content, **{name: value for name, value in kept.items() if value is not None})
         write_bytes(self._path(cell, episode.seed), content.getvalue() + self._seal(content.getvalue()))
 
     def load(self, cell: Any, seed: int) -> Episode | None:

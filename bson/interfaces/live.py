@@ -213,7 +213,6 @@ class DrivePage(Page):
     def add_controls(self) -> None:
         """As Page.add_controls."""
         gui = self.client.gui
-        self._picture = gui.add_image(np.zeros((180, 320, 3), np.uint8), label="Robot's camera", format="jpeg")
         names = [PERSON, *agent_names()]
         if self.setting.called not in names:
             names.append(self.setting.called)
@@ -223,6 +222,12 @@ class DrivePage(Page):
         if len(self.setting.course.settings) > 1:
             settings = list(self.setting.course.settings)
             self._on(gui.add_dropdown("Setting", settings, initial_value=self._name), self._set_setting)
+
+    def add_pictures(self) -> None:
+        """As Page.add_pictures."""
+        width, height = Eye.size_seen
+        blank = np.zeros((height, width, 3), np.uint8)
+        self._picture = self.client.gui.add_image(blank, label="Robot's camera", format="jpeg")
 
     def add_view_controls(self) -> None:
         """As Page.add_view_controls."""

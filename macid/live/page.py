@@ -37,13 +37,37 @@ CAMERAS = ("behind", "beside", "map")  # what a camera follows: place and headin
 class LiveWorld(Protocol):
     """What a page shows. K people, nq coordinates of MuJoCo; world frame; metres, seconds, radians."""
 
-    model: mujoco.MjModel  #: as it looks; people come first in qpos, x, y, yaw each
-    boxes: np.ndarray  #: (B, 5) of this episode
-    period: float  #: of a tick [s]
-    lcf: np.ndarray  #: (K,)
-    time: float  #: since the reset [s]
-    seed: int
     ended: str  #: why the episode is over; "" while it goes on
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """As it looks; people come first in qpos, x, y, yaw each."""
+        ...
+
+    @property
+    def boxes(self) -> np.ndarray:
+        """(B, 5) of this episode."""
+        ...
+
+    @property
+    def period(self) -> float:
+        """Of a tick [s]."""
+        ...
+
+    @property
+    def lcf(self) -> np.ndarray:
+        """(K,) of people."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Since the reset [s]."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """The episode's."""
+        ...
 
     def tick(self) -> np.ndarray:
         """Moves the world on by a tick: qpos (n + 1, nq) at equal intervals, the first as it was before."""
@@ -117,7 +141,10 @@ class Page:
         return np.zeros(3)
 
     def add_controls(self) -> None:
-        """Adds the subclass's own controls."""
+        """Adds the subclass's own controls, above all others."""
+
+    def add_pictures(self) -> None:
+        """Adds what the subclass shows below the readings."""
 
     def begun(self) -> None:
         """Called as an episode begins, its picture built."""
@@ -385,11 +412,12 @@ class Page:
         client.scene.set_background_image(np.full((2, 2, 3), _SKY, np.uint8))
         client.camera.position, client.camera.look_at = (0.0, -5.5, 3.2), (0.0, 1.5, 0.6)
         self._told = gui.add_markdown("Preparing ...")
-        self._readings = gui.add_markdown("")
         self.add_controls()
+        buttons = {"Pause": self.pause, "Step": self.step, "Reset": self.reset, "Next": self.next}
+        gui.add_button_group("Episode", list(buttons)).on_click(lambda event: self.ask(buttons[event.target.value]))
+        self._readings = gui.add_markdown("")
+        self.add_pictures()
         with gui.add_folder("Time"):
-            buttons = {"Pause": self.pause, "Step": self.step, "Reset": self.reset, "Next": self.next}
-            gui.add_button_group("Episode", list(buttons)).on_click(lambda event: self.ask(buttons[event.target.value]))
             self._seed_box = gui.add_number("Seed", self.seed, min=0, max=2**31 - 1, step=1)
             self._on(self._seed_box, self._seed_changed)
             self.add_time_controls()

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import trimesh
+import trimesh.visual
 from scipy.spatial.transform import Rotation
 
 from macid import geometry
@@ -196,7 +197,7 @@ def _add_floor(scene, model, geom):
             baseColorTexture=Image.fromarray(pixels[::-1].astype(np.uint8)), metallicFactor=0.0, roughnessFactor=1.0
         )
         plane.visual = trimesh.visual.TextureVisuals(uv=corners[:, :2] * repeat, material=finish)
-    scene.add_mesh_trimesh(f"{WORLD}/floor{geom}", plane, cast_shadow=False, receive_shadow=1.0)
+    scene.add_mesh_trimesh(f"{WORLD}/floor{geom}", plane, cast_shadow=False, receive_shadow=0.3)
 
 
 class Figures:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from typing import Any
 
 import pytest
 
@@ -56,7 +57,7 @@ class Browser:
         from websockets.sync.client import connect
 
         self._folder = tempfile.mkdtemp()
-        self._process = subprocess.Popen(
+        self._process: Any = subprocess.Popen(
             [chromium(), *_FLAGS, f"--user-data-dir={self._folder}", "about:blank"],
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
@@ -155,4 +156,6 @@ class Tab:
         if file is not None:
             with open(file, "wb") as opened:
                 opened.write(content)
-        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        return picture[..., ::-1]
