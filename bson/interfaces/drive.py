@@ -85,9 +85,9 @@ class Drive:
 
     def begin(self, config: TaskConfig, seed: int, agent: AgentFactory | None = None, name: str = PERSON) -> None:
         """Begins the episode `seed` of `config`, driven by the agent, if it is given, or by the person."""
-        session = self._session
-        session.configure(config)
-        observation = session.reset([0], [seed])
+        session, made = self._session, self._made(agent, config)
+        with session.setting(config):  # where the map has no room, the episode before goes on
+            observation = session.reset([0], [seed])
         self.observations = [{key: value[0] for key, value in observation.items()}]
         self.actions: list[np.ndarray] = []
         self.drivers: set[str] = set()
@@ -95,15 +95,19 @@ class Drive:
         self._drawn = self.lcf.copy()
         self._recorder = Recorder(session, 0)
         self._data = mujoco.MjData(self.model)
-        self.hand_over(agent, name)
+        self._let(made, name)
 
     def hand_over(self, agent: AgentFactory | None, name: str = PERSON) -> None:
         """Lets `agent` drive from now on, or the person, where it is None. Raises AgentError."""
-        made = None
-        if agent is not None:
-            made = made_for(agent, Setting.of(self.config, self.track))
+        self._let(self._made(agent, self.config), name)
+
+    def _made(self, agent, config):
+        return None if agent is None else made_for(agent, Setting.of(config, self.track))
+
+    def _let(self, made, name):
+        if made is not None:
             reset_agent(made, self.seed, name)
-        self._agent, self.driver = made, PERSON if agent is None else name
+        self._agent, self.driver = made, PERSON if made is None else name
 
     def tick(self) -> np.ndarray:
         """As LiveWorld.tick: a control step."""

@@ -191,7 +191,7 @@ class DrivePage(Page):
         return [
             ("Time", f"{world.time:.1f} of {world.period * world.config.horizon:.0f} s"),
             ("Drives", world.driver),
-            ("Speed", f"{float(world.now('velocity')[0]) + 0.0:.2f} m/s"),
+            ("Speed", f"{round(float(world.now('velocity')[0]), 2) + 0.0:.2f} m/s"),
             ("Way driven", f"{float(world.now('travelled')):.2f} m"),
             ("To the goal", f"{float(world.now('distance')):.1f} m"),
             ("Nearest person", f"{max(nearest, 0.0):.2f} m" if np.isfinite(nearest) else "-"),
