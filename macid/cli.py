@@ -271,7 +271,7 @@ def parser() -> Parser:
     )
     live.add_argument("--pedestrian", type=name, default="macid", help=models)
     live.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
-    live.number("--people", int, 1, MOST_PEOPLE, default=None, help="(default: the level's)")
+    live.number("--people", int, 1, 500, default=None, help="(default: the level's)")
     live.add_argument(
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
