@@ -31,6 +31,7 @@ _TRAIL = 4.0  # of people's paths [s]
 _CALM = 0.12  # the share of its lag that a camera behind somebody turns with each frame
 _DOT = 0.12  # half a side of what marks people's goals [m]
 _SKY = (226, 235, 244)
+NEAR = (0.0, -5.5, 3.2), (0.0, 1.5, 0.6)  # a camera that follows, and what it looks at, from whom it follows [m]
 CAMERAS = ("behind", "beside", "map")  # what a camera follows: place and heading, the place, nothing
 
 
@@ -283,6 +284,8 @@ class Page:
         self.tell("")
         if self._by_hand is not None:
             self.world.set_lcf(self._by_hand)
+        elif len(self.world.lcf):
+            self._everyone.value = round(float(np.clip(self.world.lcf.mean(), -MAX_LCF, MAX_LCF)), 2)
         self._build()
         self.begun()
 
@@ -300,6 +303,7 @@ class Page:
                 self._figures = Figures(scene, len(world.lcf), lambda who: self.ask(lambda: self._click(who)))
                 self._goal = Goal(scene)
                 self._lines, self._dots = {}, {}
+                self._camera_changed(self._camera.value)
             self._shapes.still(world.boxes)
         self._path, self._here, self._phase = world.qpos()[None], world.here(), 0.0
         self._trail = [self._people(self._path[0])[:, :2]]
@@ -410,7 +414,6 @@ class Page:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.set_panel_label(self.title)
         client.scene.set_background_image(np.full((2, 2, 3), _SKY, np.uint8))
-        client.camera.position, client.camera.look_at = (0.0, -5.5, 3.2), (0.0, 1.5, 0.6)
         self._told = gui.add_markdown("Preparing ...")
         self.add_controls()
         buttons = {"Pause": self.pause, "Step": self.step, "Reset": self.reset, "Next": self.next}
@@ -442,7 +445,6 @@ class Page:
             self.add_view_controls()
         if self.hint:
             gui.add_markdown(self.hint)
-        self._camera_changed(self._camera.value)
 
     def add_time_controls(self) -> None:
         """Adds the subclass's own controls of time."""
@@ -463,10 +465,10 @@ class Page:
     def _camera_changed(self, chosen):
         camera = self.client.camera
         if chosen == "map":
-            side = 50.0 if self.world is None else float(self.world.boxes[0, 2:4].max() * 2)
+            side = 2 * float(self.world.boxes[0, 2:4].max())
             camera.position, camera.look_at = (0.0, -0.6 * side, 0.8 * side), (0.0, 0.0, 0.0)
         else:
-            camera.position, camera.look_at = (0.0, -5.5, 3.2), (0.0, 1.5, 0.6)
+            camera.position, camera.look_at = NEAR
         self._stale = True
 
     def pause(self) -> None:

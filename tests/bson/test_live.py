@@ -212,7 +212,7 @@ BAD = {
     "--suite smoke --cell none": "Suite 'smoke' has no cell 'none'. Choose one of 'all'.",
     "--sensor sonar": "Unknown sensor 'sonar'",
     "--set num_pedestrians=-1": "num_pedestrians must be a whole number",
-    "--set num_pedestrians=1900 --set map_size=20": "people found room",
+    "--set num_pedestrians=200 --set map_size=10": "people found room",
     "--agent tac --set control_period=0.2": "Agent 'tac'",
     "--out /dev/null": "Can't write to '/dev/null'",
 }
@@ -257,6 +257,8 @@ def test_the_page_in_a_browser(tmp_path):
             page.slide("LCF of all", "Home")
             until(lambda: page.reading("LCF: mean, least, most") == "-2.00, -2.00, -2.00")
             until(lambda: page.reading("Counts") == "no: LCFs were set by hand")
+            page.slide("Density", "End")
+            until(lambda: page.reading("Counts") == "no: its setting was changed on the page")
             page.close()
             assert process.wait(30) == 0
         assert process.stderr.read() == "" and not out.exists()

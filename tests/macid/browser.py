@@ -147,6 +147,26 @@ class Tab:
         script = "(label => [...document.querySelectorAll('button')].find(b => b.innerText.trim() === label)?.click())"
         self.run(f"{script}({json.dumps(label)})")
 
+    def choose(self, now, option):
+        """Chooses the `option` of the dropdown that shows `now`."""
+        found = f"[...document.querySelectorAll('input')].find(one => one.value === {json.dumps(now)})"
+        self.run(f"(one => {{ one.focus(); one.click(); }})({found})")
+        options = "[...document.querySelectorAll('[role=option]')]"
+        wanted = f"{options}.find(one => one.innerText.trim() === {json.dumps(option)} && one.offsetParent)"
+        until(lambda: self.run(f"!!{wanted}"))
+        self.run(f"{wanted}.click()")
+        until(
+            lambda: self.run(f"[...document.querySelectorAll('input')].some(one => one.value === {json.dumps(option)})")
+        )
+
+    def click_at(self, x, y):
+        """Clicks the place x, y, shares of the window's width and height."""
+        x, y = x * self.run("innerWidth"), y * self.run("innerHeight")
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            button = "none" if kind == "mouseMoved" else "left"
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1)
+            time.sleep(0.2)  # it asks what is below the pointer between two pictures
+
     def screenshot(self, file=None):
         """The page's picture (height, width, 3) uint8; saved as the PNG `file`, where given."""
         import cv2

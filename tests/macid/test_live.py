@@ -252,6 +252,10 @@ def test_pages_draw_and_do_not_disturb_each_other(served, tmp_path):
         one.slide("LCF of all", "End")
         until(lambda: (first.world.lcf == 2.0).all() and one.reading("LCF: mean, least, most") == "2.00, 2.00, 2.00")
         np.testing.assert_array_equal(second.world.lcf, before)
+        one.choose("map", "behind")
+        until(lambda: one.click_at(0.5, 0.54) or first.clicked == 0)  # person 0, whom this camera follows
+        one.slide("LCF of one", "Home")
+        until(lambda: first.world.lcf.tolist() == [-2.0] + 7 * [2.0])
         two.click("Pause")
         until(lambda: not second.running)
         stopped, at = second.world.time, first.world.time
@@ -262,8 +266,7 @@ def test_pages_draw_and_do_not_disturb_each_other(served, tmp_path):
         at = first.world.time
         until(lambda: first.world.time > at)
         assert server.pages == [first]
-        one.close()
-        until(lambda: first.ended and not server.pages)
+    until(lambda: first.ended and not server.pages)  # a browser that goes away takes its world along
 
 
 def test_the_same_call_for_python_is_refused_alike():
