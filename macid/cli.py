@@ -30,6 +30,7 @@ from macid.files import (
     start_mujoco,
     write_json,
 )
+from macid.state import MAX_SPEED, RADII, RADIUS, TOP_SPEED
 
 _ENGINE = "native (CPU), mjx or warp (GPU), with options as in warp:contacts=4 (default: the best there is; it is told)"
 _PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
@@ -65,6 +66,32 @@ def _after(note, show):
     return tell
 
 
+def _preferred_speed(text):
+    """A preferred speed, for argparse: a number, LO:HI, or human."""
+    from macid.traits import check_preferred_speed
+
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = [text]
+    try:
+        return check_preferred_speed(parts[0] if len(parts) == 1 else tuple(parts))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _add_people(command):
+    """Adds the flags that say what people are like."""
+    command.number("--radius", float, *RADII, default=RADIUS, help="of people [m]")
+    command.add_argument(
+        "--preferred-speed",
+        type=_preferred_speed,
+        help="at which people want to walk [m/s]: a number, LO:HI, or human (default: each model's own)",
+    )
+    command.number("--max-speed", float, 0.1, TOP_SPEED, default=MAX_SPEED, help="of people [m/s]")
+    command.number("--companions", float, 0.0, 1.0, help="share of people who walk in twos and threes (default: none)")
+
+
 def _level(text):
     return int(text) if text.isdecimal() else text
 
@@ -89,6 +116,10 @@ def _evaluate(args):
         engine=engine,
         out=args.out,
         show=_after(note, _say),
+        radius=args.radius,
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
     )
     print(format_table(rows))
     print(f"Written to {pathlib.Path(args.out)}")
@@ -111,6 +142,10 @@ def _watch(args):
         at=args.at,
         scale=args.scale,
         show=_say,
+        radius=args.radius,
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
     )
     print(f"Written: {path}")
     return 0
@@ -141,6 +176,7 @@ def _export(args):
     from macid.export import export
     from macid.layout import load_level
     from macid.maps import load_map
+    from macid.scene import PersonConfig
 
     if args.map and args.level is not None:
         raise UsageError("--map and --level both say where: give one of them.")
@@ -148,7 +184,15 @@ def _export(args):
     layout = load_map(args.map) if args.map else load_level(level)
     seed = args.seed if args.map else (args.seed, *level_seed(level))
     number = args.people or layout.pedestrians or CrowdConfig.number
-    config = CrowdConfig(number=number, period=args.period, lcf=tuple(args.lcf))
+    config = CrowdConfig(
+        number=number,
+        period=args.period,
+        lcf=tuple(args.lcf),
+        person=PersonConfig(radius=args.radius),
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
+    )
     start.cleaning_up()
     export(layout, config, seed, args.out, f"macid {shlex.join(args.argv)}")
     print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
@@ -216,6 +260,43 @@ def _bench(args):
     return 0
 
 
+def _human_data(args):
+    from macid.human.command import data_files
+
+    words = ["macid", "human", "data", "DIR", *(["--figures", "OUT"] if args.figures else [])]
+    data_files(args.data, args.figures, print, " ".join(words))
+    return 0
+
+
+def _human_measure(args):
+    from macid.human.measure import Options, measure, table
+
+    engine, note = _chosen(args)
+    if args.lcf is not None and len(args.lcf) > 2:
+        raise UsageError(f"--lcf takes one LCF, or the least and the greatest, not {len(args.lcf)} numbers.")
+    speed = args.preferred_speed
+    if speed is not None and speed != "human":
+        try:
+            speed = float(speed)
+        except ValueError:
+            raise UsageError(f"--preferred-speed must be a number [m/s] or human, not '{speed}'.") from None
+    options = Options(
+        radius=args.radius,
+        preferred_speed=speed,
+        max_speed=args.max_speed,
+        lcf=None if args.lcf is None else (args.lcf[0], args.lcf[-1]),
+        period=args.period,
+        matched=args.matched,
+        seeds=args.seeds,
+        engine=engine,
+        only=args.only,
+    )
+    document = measure(args.pedestrian, args.data, options, args.out, show=_after(note, _say))
+    print(table(document))
+    print(f"Written to {pathlib.Path(args.out)}")
+    return 0
+
+
 def parser() -> Parser:
     """The command's parser."""
     root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
@@ -242,6 +323,7 @@ def parser() -> Parser:
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
+    _add_people(evaluate)
     evaluate.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     evaluate.add_argument("--out", type=name, default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
@@ -260,6 +342,7 @@ def parser() -> Parser:
         "--follow", type=int, default=None, help="whose eyes to look through (default: one with far to go)"
     )
     watch.add_argument("--at", type=float, default=None, help="of a .png: the time in seconds (default: halfway)")
+    _add_people(watch)
     watch.add_argument("--scale", type=float, default=0.75, help="of the picture: 1 is 1500 x 760")
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
@@ -296,6 +379,7 @@ def parser() -> Parser:
     )
     export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
+    _add_people(export)
     export.add_argument("--out", type=name, required=True, help="folder, new or empty")
     export.set_defaults(run=_export)
 
@@ -337,6 +421,37 @@ def parser() -> Parser:
     bench.add_argument("--preset", default="fast", choices=_PRESETS)
     bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
+
+    human = commands.add_parser("human", help="real people's walks, and models measured against them")
+    human = human.add_subparsers(dest="what", required=True, metavar="what")
+    data = human.add_parser(
+        "data",
+        help="read files of people's walks: what they are, and whether they are sound",
+        formatter_class=HelpFormatter,
+    )
+    data.add_argument("data", type=name, metavar="DIR", help="a folder with files (.txt, .csv, .dat), or one file")
+    data.add_argument("--figures", type=name, default=None, metavar="OUT", help="folder for people's figures of them")
+    data.set_defaults(run=_human_data)
+    measure = human.add_parser(
+        "measure", help="a pedestrian model beside real people, by many measures", formatter_class=HelpFormatter
+    )
+    measure.add_argument("--pedestrian", type=name, required=True, help=f"{models}; or a file of people's walks")
+    measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files, to be replayed")
+    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's, or 0.35)")
+    measure.number("--seeds", int, 1, MOST_SEEDS, default=3, help="a method's policies, or runs")
+    measure.number(
+        "--lcf", float, -10.0, 10.0, nargs="+", default=None, help="everybody's LCF, or a range (default: Table II's)"
+    )
+    measure.add_argument("--matched", action="store_true", help="in open scenes, at the real people's mean speeds")
+    measure.add_argument(
+        "--preferred-speed", type=name, default=None, help="a number [m/s], or human (default: the policy's own)"
+    )
+    measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
+    measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
+    measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
+    measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
+    measure.add_argument("--out", type=name, default="macid-human", help="folder: measured.json, index.html, film.webm")
+    measure.set_defaults(run=_human_measure)
     return root
 
 

@@ -1,7 +1,8 @@
 """Pictures and films, drawn offscreen with MuJoCo and OpenCV: what films of crowds and of robots have in common.
 
-A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m, height 1.7 m), coloured by its LCF. Pictures
-are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is missing.
+A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m if nothing else is said, height 1.7 m),
+coloured by its LCF. Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is
+missing.
 """
 
 import atexit
@@ -53,14 +54,22 @@ class Part(NamedTuple):
 
 _VISOR_RGB = (0.1, 0.1, 0.12)
 _BOX, _BALL, _TUBE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CYLINDER
-_WAIST, _HEAD = 1.16, 0.19  # height, and radius [m]
-#: A person: body and head, inside its cylinder, and a visor where it faces.
-FIGURE = (
-    Part(_TUBE, (RADIUS, _WAIST / 2, 0), (0, 0, _WAIST / 2), glow=0.15),
-    Part(_BALL, (RADIUS, RADIUS, 0.15), (0, 0, _WAIST), glow=0.15),
-    Part(_BALL, (_HEAD, _HEAD, 0.22), (0, 0, HEIGHT - 0.22), shade=0.85, glow=0.15),
-    Part(_BOX, (0.10, 0.13, 0.045), (0.13, 0, HEIGHT - 0.2), shade=0.0),
-)
+_WAIST, _HEAD, _VISOR = 1.16, 0.19, 0.13  # height; radius of the head, and how far ahead of its middle eyes are [m]
+FIGURE_PARTS = 4  # shapes in a person's figure
+
+
+def figure(radius: float = RADIUS) -> tuple[Part, ...]:
+    """A person inside its cylinder of `radius` [m]: body and head, and a visor where it faces."""
+    slim = (1.0 + radius / RADIUS) / 2  # heads differ less than shoulders do
+    head, visor = _HEAD * slim, _VISOR * slim
+    return (
+        Part(_TUBE, (radius, _WAIST / 2, 0), (0, 0, _WAIST / 2), glow=0.15),
+        Part(_BALL, (radius, radius, 0.15), (0, 0, _WAIST), glow=0.15),
+        Part(_BALL, (head, head, 0.22), (0, 0, HEIGHT - 0.22), shade=0.85, glow=0.15),
+        Part(_BOX, (0.10 * slim, visor, 0.045), (visor, 0, HEIGHT - 0.2), shade=0.0),
+    )
+
+
 #: A goal: pole, flag, a disc as large as the goal is, and a translucent column.
 GOAL = (
     Part(_TUBE, (0.035, 0.9, 0), (0, 0, 2.1), glow=0.4),
@@ -68,7 +77,6 @@ GOAL = (
     Part(_TUBE, (GOAL_RADIUS, 0.008, 0), (0, 0, 0.012), alpha=0.75, glow=0.4),
     Part(_TUBE, (GOAL_RADIUS, 1.25, 0), (0, 0, 1.25), alpha=0.22, glow=0.5),
 )
-FIGURE_PARTS = len(FIGURE)
 
 
 _open_stages = weakref.WeakSet()  # to be closed before the graphics library goes
@@ -336,12 +344,13 @@ class Stage(Offscreen):
         geom.emission, geom.specular, geom.shininess = glow, 0.15, 0.2
         self.scene.ngeom += 1
 
-    def add_people(self, poses: np.ndarray, colours: np.ndarray) -> None:
-        """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders: body and head in
-        `colours` (K, 3), and a visor where they face."""
+    def add_people(self, poses: np.ndarray, colours: np.ndarray, radius: float = RADIUS) -> None:
+        """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders of `radius` [m]: body
+        and head in `colours` (K, 3), and a visor where they face."""
+        parts = figure(radius)
         for (x, y, yaw), rgb in zip(poses, colours, strict=True):
             c, s = math.cos(yaw), math.sin(yaw)
-            for part in FIGURE:
+            for part in parts:
                 ahead, _, height = part.place
                 rgba = [*part.colour(rgb), part.alpha]
                 place = [x + ahead * c, y + ahead * s, height]

@@ -18,6 +18,7 @@ from bson.sensors import Sensor
 from bson.task import TaskConfig
 from macid.files import UsageError
 from macid.registry import Failed, raised
+from macid.state import RADIUS
 
 _OURS = (__file__, str(pathlib.Path(__file__).with_name("__init__.py")))
 
@@ -58,6 +59,7 @@ class Setting:
     sensors: tuple[Sensor, ...]  #: with their configurations: angles, ranges, places, noise, rates
     map: MapFrame
     horizon: int  #: control steps until an episode is cut off
+    person_radius: float = RADIUS  #: of pedestrians [m]
 
     @classmethod
     def of(cls, config: TaskConfig, track: LocalTrack) -> "Setting":
@@ -70,6 +72,7 @@ class Setting:
             tuple(track.sensors),
             MapFrame(config.map_size),
             config.horizon,
+            config.person_radius,
         )
 
     @classmethod
@@ -161,7 +164,7 @@ def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: Loca
     """
     if not getattr(factory, "takes_setting", True):
         return
-    different = {(c.control_period, c.robot, c.map_size, c.horizon): c for c in configs}
+    different = {(c.control_period, c.robot, c.map_size, c.horizon, c.person_radius): c for c in configs}
     for config in different.values():
         made_for(factory, Setting.of(config, track))
 
@@ -193,6 +196,8 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
     """
     try:
         action = agent(observation)
+    except AgentError:  # it says itself what is wrong
+        raise
     except KeyError as error:
         if not any(key in KEYS and key not in observation for key in error.args if isinstance(key, str)):
             raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error

@@ -16,7 +16,7 @@ import numpy as np
 from bson.episodes.record import Episode
 from macid import drawing, geometry, scene
 from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_colour, rgb255
-from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
+from macid.state import GOAL_RADIUS, HEIGHT
 
 PATH_RGB = (0.95, 0.45, 0.0)
 _TRAIL = 4.0  # length of people's trails [s]
@@ -71,12 +71,18 @@ class Eye(RobotStage):
         super().__init__(model, self.size_seen, [(0, 0, *self.size_seen)])
 
     def picture(
-        self, qpos: np.ndarray, boxes: np.ndarray, people: np.ndarray, colours: np.ndarray, goal: np.ndarray
+        self,
+        qpos: np.ndarray,
+        boxes: np.ndarray,
+        people: np.ndarray,
+        colours: np.ndarray,
+        goal: np.ndarray,
+        radius: float,
     ) -> np.ndarray:
         """RGB (height, width, 3) uint8 of the world at `qpos` (nq,) and `boxes` (B, 5), with `people` (K, 3), x, y [m]
-        and yaw [rad], in `colours` (K, 3), and the `goal` (2,) [m]."""
+        and yaw [rad], of `radius` [m], in `colours` (K, 3), and the `goal` (2,) [m]."""
         self.put(qpos, boxes)
-        self.add_people(people, colours)
+        self.add_people(people, colours, radius)
         self.add_goal(goal)
         page = self.page()
         self.aim_front()
@@ -103,7 +109,7 @@ class Film(RobotStage):
         step = range(len(episode.pose))[step]
         self.put(episode.qpos[step], episode.boxes)
         first = self.scene.ngeom
-        self.add_people(episode.people[step], lcf_colour(episode.lcf))
+        self.add_people(episode.people[step], lcf_colour(episode.lcf), episode.person_radius)
         self.add_goal(episode.goal)
         page = self.page()
         self.aim_front()
@@ -184,7 +190,7 @@ class Film(RobotStage):
         drawing.ring(canvas, start, 4.5 * unit, INK, 1.6 * unit)
         drawing.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
         for spot in at(episode.people[step, :, :2]):
-            drawing.ring(canvas, spot, RADIUS * metre, INK, unit)
+            drawing.ring(canvas, spot, episode.person_radius * metre, INK, unit)
         x, y, yaw = episode.pose[step]
         c, s = math.cos(yaw), -math.sin(yaw)
         shape = np.array([[1.0, 0.0], [-0.75, 0.68], [-0.4, 0.0], [-0.75, -0.68]]) * 11 * unit
@@ -261,7 +267,9 @@ def _hides(episode, step, eye):
     length = max(math.hypot(*way), 1e-6)
     along = np.clip((people - robot) @ way / length, 0.0, length)
     beside = geometry.norm(people - robot - along[:, None] * way / length)
-    return (beside < 3 * RADIUS) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
+    return (
+        (beside < 3 * episode.person_radius) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
+    )
 
 
 def map_window(episode: Episode) -> tuple[np.ndarray, float]:

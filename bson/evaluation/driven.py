@@ -1,5 +1,5 @@
 """Episodes that people drove (`bson live`): results.json of the agent `human`, and the episodes with what the robot saw
-and what the person did, from which `bson train --algo bc` learns."""
+and what the person did, from which `bson train --algo bc --demonstrations` learns."""
 
 import json
 import pathlib
@@ -127,15 +127,18 @@ def score_so_far(drive: Drive) -> list[tuple[str, str]]:
     return [("SNS so far", f"{metrics.sns(so_far):.1f}"), ("RC, SP, PE", shown)]
 
 
-def demonstrations(
-    out: str | pathlib.Path, config: TaskConfig
-) -> list[tuple[Episode, dict[str, np.ndarray], np.ndarray]]:
+def is_driven(out: str | pathlib.Path) -> bool:
+    """Whether `out` is a folder of `bson live` with episodes that people drove."""
+    return (pathlib.Path(out) / EPISODES / "basis.json").is_file()
+
+
+def read_driven(out: str | pathlib.Path, config: TaskConfig) -> list[tuple[Episode, dict[str, np.ndarray], np.ndarray]]:
     """The episodes that people drove in the folder `out` of `bson live`: (Episode, observations (T + 1, ...) by key,
     actions (T, 2)) each. Raises UsageError where there are none, one is damaged, or they were driven with other actions
     than those of the task `config`: another period, or other top speeds."""
     folder = pathlib.Path(out) / EPISODES
     nothing = f"'{out}' has no episodes that a person drove. Name a folder that bson live wrote (--out)."
-    if not (folder / "basis.json").is_file():
+    if not is_driven(out):
         raise UsageError(nothing)
     follows_from = read_basis(folder / "basis.json", "Name another folder.")
     store, found = _Kept(folder, follows_from, resume=True), []

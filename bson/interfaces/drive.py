@@ -169,6 +169,11 @@ class Drive:
         return self.config.control_period
 
     @property
+    def radius(self) -> float:
+        """As LiveWorld.radius."""
+        return self.config.person_radius
+
+    @property
     def lcf(self) -> np.ndarray:
         """As LiveWorld.lcf."""
         return self._world.lcf[0]

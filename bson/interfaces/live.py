@@ -151,7 +151,7 @@ class DrivePage(Page):
         if self._eye is not None and self._picture.visible:
             people = world.now("people")
             self._picture.image = self._eye.picture(
-                world.qpos(), world.boxes, people, world.colours(), world.now("goal")
+                world.qpos(), world.boxes, people, world.colours(), world.now("goal"), world.radius
             )
 
     def drawn(self, qpos: np.ndarray) -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import pathlib
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -14,25 +13,24 @@ from bson.agents.learned import Learned
 from bson.episodes.record import Recorder
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack
-from bson.evaluation.driven import demonstrations
 from bson.evaluation.metrics import sns
-from bson.features import FEATURES, SECTORS, Features
+from bson.features import FEATURES, Features
 from bson.learning.algorithms import linear_layers
 from bson.task import TaskConfig
-from macid.files import UsageError
 
 
 @dataclasses.dataclass(frozen=True)
 class BcConfig:
     """Behaviour cloning. `steps` of training are control steps of demonstrations."""
 
-    expert: str = "ppo"  # a shipped agent, a .npz file, or a folder of episodes that people drove (bson live)
+    expert: str = "ppo"  # a shipped agent or a .npz file
     keep: float = 0.5  # share of the episodes to keep, those with the highest SNS
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 1e-3
     final_learning_rate: float = 5e-5  # reached linearly over training
     batch: int = 256
     epochs: int = 20
+    demonstrations: str | None = None  # a Minari dataset in place of the expert: its id or folder
 
 
 def demonstrate(
@@ -79,20 +77,6 @@ def demonstrate(
                 recorders[index] = Recorder(session, int(index))
         if progress:
             progress(nworld)
-    return done
-
-
-def recorded(folder: str | pathlib.Path, config: TaskConfig) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """The episodes that people drove in `folder` (bson live), as those of `demonstrate`. Raises UsageError where they
-    don't fit the task `config`, or have no 2D LIDAR."""
-    top, done = np.array([config.robot.max_speed, config.robot.max_yaw_rate]), []
-    for episode, seen, actions in demonstrations(folder, config):
-        if "lidar" not in seen or seen["lidar"].shape[-1] % SECTORS:
-            raise UsageError(f"'{folder}' was driven without the 2D LIDAR that BC's robot has: drive with lidar2d.")
-        rows = [{key: values[step : step + 1] for key, values in seen.items()} for step in range(len(actions))]
-        features = Features(1, top)
-        x = [features.begin([0], rows[0]), *(features.step([0], row) for row in rows[1:])]
-        done.append((sns(episode), np.concatenate(x), actions))
     return done
 
 

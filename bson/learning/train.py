@@ -23,7 +23,8 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.imitation import BcConfig, clone, demonstrate, recorded, select
+from bson.learning.dataset import demonstrations
+from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from macid import start
@@ -125,7 +126,8 @@ class TrainConfig:
         default one: "ppo", "ppo-paper", "ppo-orca"."""
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
-            paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
+            taught = {name: getattr(self.hyperparameters, name) for name in ("expert", "demonstrations")}
+            paper = dataclasses.replace(paper, **taught)
         own = self.algo.rpartition(":")[0]  # file.py or package.module
         called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
@@ -398,8 +400,6 @@ def train_apart(
     for config in configs:
         carried += carried_task(config.setting) + carried_code(config.algo)
         expert = getattr(config.hyperparameters, "expert", "")
-        if pathlib.Path(expert).is_dir() and expert not in learned.names():
-            raise UsageError("--expert FOLDER is for trainings in this process: leave --executor out.")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
     with tqdm(
         total=sum(config.steps for config in configs),
@@ -432,12 +432,8 @@ def _train_here(configs, out, show):
 
 
 def _expert(config):
-    """The factory of BC's expert, or the episodes that people drove. Raises UsageError where the expert was trained, or
-    people drove, in a setting other than `config`'s."""
-    name = config.hyperparameters.expert
-    if name not in learned.names() and pathlib.Path(name).is_dir():
-        return recorded(name, config.setting)
-    expert = learned.load(name)
+    """The factory of BC's expert. Raises UsageError where the expert was trained in a setting other than `config`'s."""
+    expert = learned.load(config.hyperparameters.expert)
     try:
         expert(Setting.of(config.setting, _TRACK))
     except Unsuited as error:
@@ -455,12 +451,12 @@ def _train_bc(config, keeper, show):
         if steps % (100 * more) == 0:
             show(min(steps, config.steps), {})
 
-    expert = _expert(config)
-    seed = 1_000_000 * (config.seed + 1)
-    if isinstance(expert, list):
-        episodes = expert
-    else:
+    if hyperparameters.demonstrations is None:
+        expert = _expert(config)
+        seed = 1_000_000 * (config.seed + 1)
         episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
+    else:
+        episodes = demonstrations(hyperparameters.demonstrations, config.setting, config.steps)
     x, action = select(episodes, hyperparameters.keep)
 
     def each(epoch, loss, held_out):

@@ -58,7 +58,7 @@ class LiveCrowd:
         self._crowd = Crowd(self.layout, config)
         self.model, self.boxes = self._crowd.model, np.asarray(self._crowd.boxes, float)
         self._decisions = max(1, round(TICK / config.period))
-        self.period = self._decisions * config.period
+        self.period, self.radius = self._decisions * config.period, config.person.radius
         self.reset(seed)
         self._crowd.rollout(self._episode, self._controller, self._decisions, snapshot)  # compiled now, not in a tick
 
@@ -73,7 +73,7 @@ class LiveCrowd:
         self._read()
 
     def _read(self):
-        state = self._crowd.engine.read(self._episode.physics)
+        state = self._crowd.read(self._episode)
         self._position, self._yaw = np.asarray(state.position)[0], np.asarray(state.yaw)[0]
         self._contact = np.asarray(state.contact)[0]
 
@@ -104,7 +104,9 @@ class LiveCrowd:
     def _walk_on(self, who, places):
         """Puts the people `who`, who left the map at their goals, back to `places` (K, 2), with new goals."""
         try:
-            new = sample_goals(self._rng, self.layout, places[who], self._crowd.config.goal_distance)
+            new = sample_goals(
+                self._rng, self.layout, places[who], self._crowd.config.goal_distance, radius=self.radius
+            )
         except NoFreeSpace:  # pressed into a corner without a goal in reach: they have left
             return
         back = np.zeros((1, len(places)), bool)

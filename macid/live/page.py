@@ -56,6 +56,11 @@ class LiveWorld(Protocol):
         ...
 
     @property
+    def radius(self) -> float:
+        """People's [m]."""
+        ...
+
+    @property
     def lcf(self) -> np.ndarray:
         """(K,) of people."""
         ...
@@ -300,7 +305,9 @@ class Page:
                 self._built = world.model
                 self._root = scene.add_frame(WORLD, show_axes=False)
                 self._shapes = Model(scene, world.model)
-                self._figures = Figures(scene, len(world.lcf), lambda who: self.ask(lambda: self._click(who)))
+                self._figures = Figures(
+                    scene, len(world.lcf), world.radius, lambda who: self.ask(lambda: self._click(who))
+                )
                 self._goal = Goal(scene)
                 self._lines, self._dots = {}, {}
                 self._camera_changed(self._camera.value)

@@ -13,7 +13,7 @@ import trimesh.visual
 from scipy.spatial.transform import Rotation
 
 from macid import geometry
-from macid.drawing import FIGURE, GOAL, GOAL_RGB
+from macid.drawing import GOAL, GOAL_RGB, figure
 
 WORLD = "/world"
 _GONE = -1000.0  # height at which what is not there is put [m]
@@ -201,11 +201,12 @@ def _add_floor(scene, model, geom):
 
 
 class Figures:
-    """`number` people in a page, drawn as in films. clicked(person): called where somebody is clicked."""
+    """`number` people of `radius` [m] in a page, drawn as in films. clicked(person): called where somebody is
+    clicked."""
 
-    def __init__(self, scene: Any, number: int, clicked: Any):
+    def __init__(self, scene: Any, number: int, radius: float, clicked: Any):
         self._number, self._batches = number, []
-        for index, part in enumerate(FIGURE if number else ()):
+        for index, part in enumerate(figure(radius) if number else ()):
             scales = np.tile(_scale(int(part.kind), np.array([part.size])), (number, 1))
             colours = part.colour(np.full((number, 3), 0.5))
             kind = int(part.kind)

@@ -16,7 +16,7 @@ from bson import benchmark, cli
 from bson.agents import Setting, load_agent, made_for
 from bson.episodes.tracks import make_track
 from bson.evaluation import metrics
-from bson.evaluation.driven import Driven, demonstrations, score_so_far
+from bson.evaluation.driven import Driven, read_driven, score_so_far
 from bson.evaluation.play import run_episodes
 from bson.evaluation.results import Results
 from bson.evaluation.suites import Cell, load_suite
@@ -158,50 +158,49 @@ def test_only_what_a_person_drove_alone_and_first_is_kept(driven, tmp_path):
 
 
 def test_what_a_person_did_can_be_learned_from(driven, tmp_path):
-    imitation = pytest.importorskip("bson.learning.imitation", exc_type=ImportError)
-    training = pytest.importorskip("bson.learning.train", exc_type=ImportError)
+    pytest.importorskip("stable_baselines3")
+    from bson.learning import dataset, imitation
+    from bson.learning import train as training
+
     out, changes, cells, _ = driven
     config = cells[0].config
-    for episode, seen, actions in demonstrations(out, config):
+    for episode, seen, actions in read_driven(out, config):
         assert len(actions) == 5 and len(seen["lidar"]) == len(episode.pose) == 6
         for step, action in enumerate(actions):
             np.testing.assert_array_equal(action, np.clip(GOAL({k: v[step] for k, v in seen.items()}), -1, 1))
-    recorded = imitation.recorded(out, config)
+    recorded = dataset.demonstrations(str(out), config, 100)
     assert [len(x) for _, x, _ in recorded] == [5, 5]
     # An agent that learned on such features, asked with what was recorded, acts as it does in the world.
     ppo = made_for(load_agent("ppo"), Setting.of(config, make_track(*TRACK)))
-    for (_, x, _), (_, seen, actions) in zip(recorded, demonstrations(out, config), strict=True):
+    for (_, x, _), (_, seen, actions) in zip(recorded, read_driven(out, config), strict=True):
         ppo.reset(0)
         acted = [ppo({key: values[step] for key, values in seen.items()}) for step in range(len(actions))]
         np.testing.assert_allclose(ppo.act(x), acted, atol=1e-6)
-    bc = imitation.BcConfig(expert=str(out), keep=1.0, hidden=(8,), batch=4, epochs=2)
+    bc = imitation.BcConfig(demonstrations=str(out), keep=1.0, hidden=(8,), batch=4, epochs=2)
     task = {name: changes[name] for name in ("horizon", "num_pedestrians", "pedestrian_model")}
-    made = training.TrainConfig("bc", steps=1, task=task, validate_episodes=1, hyperparameters=bc)
+    made = training.TrainConfig("bc", steps=100, task=task, validate_episodes=1, hyperparameters=bc)
     folder = training.train(made, tmp_path)
-    assert json.loads((folder / "policy.json").read_text())["hyperparameters"]["expert"] == str(out)
+    assert json.loads((folder / "policy.json").read_text())["hyperparameters"]["demonstrations"] == str(out)
     with pytest.raises(UsageError, match="was driven at a control period and top speeds of 0.1 s, .* not 0.2 s"):
-        imitation.recorded(out, config.replace(control_period=0.2))
+        dataset.demonstrations(str(out), config.replace(control_period=0.2), 100)
 
 
-def test_bad_experts_are_one_line(driven, tmp_path, capsys):
+def test_demonstrations_that_do_not_fit_are_one_line(driven, tmp_path, capsys):
     pytest.importorskip("stable_baselines3")
-    (tmp_path / "empty").mkdir()
-    for words, told in {
-        ("--algo", "bc", "--expert", str(tmp_path / "empty")): "has no episodes that a person drove",
-        ("--algo", "ppo", "--expert", "ppo"): "--expert is for --algo bc, which learns from one, not for 'ppo'",
-        ("--algo", "bc", "--expert", "nobody"): "nobody",
-    }.items():
-        assert cli.main(["train", *words, "--out", str(tmp_path / "runs")]) == 2
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and told in error
-        assert not (tmp_path / "runs").exists()
+    words = ["--algo", "bc", "--demonstrations", str(driven[0]), "--set", "control_period=0.2"]
+    assert cli.main(["train", *words, "--out", str(tmp_path / "runs")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "was driven at a control period and top speeds of 0.1 s" in error
+    assert not (tmp_path / "runs").exists()
+    with pytest.raises(UsageError, match="has no episodes that a person drove"):
+        read_driven(tmp_path, driven[2][0].config)
     copied = tmp_path / "cut"
     (copied / "episodes").mkdir(parents=True)
     for file in (driven[0] / "episodes").iterdir():
         content = file.read_bytes()
         (copied / "episodes" / file.name).write_bytes(content[:-9] if file.suffix == ".npz" else content)
     with pytest.raises(UsageError, match="is damaged. Delete it"):
-        demonstrations(copied, driven[2][0].config)
+        read_driven(copied, driven[2][0].config)
 
 
 BAD = {

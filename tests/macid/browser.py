@@ -155,9 +155,8 @@ class Tab:
         wanted = f"{options}.find(one => one.innerText.trim() === {json.dumps(option)} && one.offsetParent)"
         until(lambda: self.run(f"!!{wanted}"))
         self.run(f"{wanted}.click()")
-        until(
-            lambda: self.run(f"[...document.querySelectorAll('input')].some(one => one.value === {json.dumps(option)})")
-        )
+        shown = f"[...document.querySelectorAll('input')].some(one => one.value === {json.dumps(option)})"
+        until(lambda: self.run(shown))
 
     def click_at(self, x, y):
         """Clicks the place x, y, shares of the window's width and height."""
