@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bson.agents import AgentFactory, agent_names, load_agent
+from bson.agents import AgentFactory, agent_names, check_settings, load_agent
 from bson.episodes.film import PATH_RGB, Eye
 from bson.episodes.tracks import make_track
 from bson.interfaces.drive import PERSON, Course, Drive, action_of
@@ -62,17 +62,18 @@ class DrivePage(Page):
         model = config.pedestrian_model if isinstance(config.pedestrian_model, str) else "as the setting mixes them"
         self._base_model = model
         self._driver, self._factory = PERSON, None
-        self._share, self._eye = 1.0, None
+        self._share, self._eye, self._blind = 1.0, None, ""
+        self._seen_model: Any = None  # the model that the eye draws
         seed = setting.course.after(None, driven(setting.name))
         super().__init__(client, "bson live", model_names(), model, self._shown, seed)
-        self._choose(setting.called, setting.agent)
+        self._choose(setting.called)
 
     # The world.
 
-    def _choose(self, name, agent=None):
+    def _choose(self, name):
         """Takes the agent `name` for the driver; PERSON: nobody but the person. Raises AgentError."""
-        own = self.setting.agent if name == self.setting.called else name
-        self._factory = None if name == PERSON else load_agent(agent or own, self.setting.untrained)
+        agent = self.setting.agent if name == self.setting.called else name
+        self._factory = None if name == PERSON else load_agent(agent, self.setting.untrained)
         self._driver = name
 
     def _track(self):
@@ -115,8 +116,6 @@ class DrivePage(Page):
                 self.tell(f"No picture of the robot's camera: {error}")
         self._seen_model = self.world.model
         self._look()
-
-    _blind, _seen_model = "", None
 
     def _tick(self):
         world = self.world
@@ -244,9 +243,10 @@ class DrivePage(Page):
         before = self._driver
         try:
             self._choose(name)
-            if self._track() == self._made:
+            if self._factory is None or self._track() == self._made:
                 self.world.hand_over(self._factory, name)
             else:  # it wants to see something else: the episode begins again
+                check_settings(self._factory, [self._config()], make_track(*self._track()))
                 self._renew()
         except ValueError:
             self._choose(before)

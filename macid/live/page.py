@@ -130,6 +130,7 @@ class Page:
         self._thread: threading.Thread | None = None
         self._renew_at: float | None = None  # when a world of another setting is made
         self._stale = True  # whether the picture is older than the world
+        self._built: mujoco.MjModel | None = None  # the model whose shapes are in the page
         self.world: Any = None
 
     # What a subclass gives.
@@ -299,15 +300,13 @@ class Page:
         world, scene = self.world, self.client.scene
         self._seed_box.value = world.seed
         with self.client.atomic():
-            if getattr(self, "_built", None) is not world.model:
-                if hasattr(self, "_built"):
+            if self._built is not world.model:
+                if self._built is not None:
                     self._root.remove()
                 self._built = world.model
                 self._root = scene.add_frame(WORLD, show_axes=False)
                 self._shapes = Model(scene, world.model)
-                self._figures = Figures(
-                    scene, len(world.lcf), world.radius, lambda who: self.ask(lambda: self._click(who))
-                )
+                self._figures = Figures(scene, len(world.lcf), world.radius, self._clicked)
                 self._goal = Goal(scene)
                 self._lines, self._dots = {}, {}
                 self._camera_changed(self._camera.value)
@@ -524,6 +523,9 @@ class Page:
         if self.clicked is not None:
             self.world.set_lcf(float(lcf), self.clicked)
             self.repaint()
+
+    def _clicked(self, person):
+        self.ask(lambda: self._click(person))
 
     def _click(self, person):
         """Chooses `person`, or nobody."""
