@@ -292,14 +292,17 @@ class AgentNode:
             while True:
                 self._wire.spin(_LOOK)
                 silent = time.monotonic() - self._heard
+                patience = (
+                    self._timeout if self._intervals else max(PATIENCE, self._timeout)
+                )  # a world may begin slowly
                 if silent > most and not self._standing:
                     ros.warn(f"no {SCAN.name} or {ODOM.name} for {silent:.1f} s: the robot stops")
                     self.stop()
-                if silent > self._timeout or (silent > most and not self._wire.check_publishers(SCAN)):
+                if silent > patience or (silent > most and not self._wire.check_publishers(SCAN)):
                     raise AgentError(
                         f"Nobody publishes {SCAN.name} any more: stopped the robot, after {self._acted / 1e9:.2f} s."
-                        if silent <= self._timeout
-                        else f"No {SCAN.name} or {ODOM.name} for {self._timeout:g} s: stopped the robot."
+                        if silent <= patience
+                        else f"No {SCAN.name} or {ODOM.name} for {patience:g} s: stopped the robot."
                     )
         finally:
             self.stop()
