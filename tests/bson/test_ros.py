@@ -354,9 +354,9 @@ DRIVES = float(np.float32(0.8)) * 2.0  # the agent `goal` where its goal is stra
 class Robot(Peer):
     """A robot that stands at the origin, with a goal 5 m ahead; its scans see nothing."""
 
-    def __init__(self, **scan):
+    def __init__(self, latched=("/goal_pose",), **scan):
         kinds = {topic.name: topic.kind for topic in (ros_agent.SCAN, ros_agent.ODOM, ros_agent.GOAL)}
-        super().__init__(kinds, CMD, latched={"/goal_pose"})
+        super().__init__(kinds, CMD, latched)
         self.scan = {"beams": 720, "half": Lidar2D().field / 2, "range_max": 30.0, **scan}
         self.speed, self.frame = 0.0, "odom"
 
@@ -413,6 +413,17 @@ def test_stale_messages_stop_the_robot_and_then_end_the_node(capsys):
     assert "No /scan or /odom for 1 s: stopped the robot" in driven(robot, lambda robot: steps(robot, 5))
     assert robot.commands[:5] == [DRIVES] * 5 and robot.commands[5] == 0.0
     assert "no /scan or /odom for" in capsys.readouterr().err
+
+
+def test_a_goal_that_is_not_latched_is_obeyed_too():
+    robot = Robot(latched=())  # as RViz gives goals
+
+    def script(robot):
+        until(lambda: robot.told["/goal_pose"].get_subscription_count())
+        steps(robot, 3)
+
+    driven(robot, script)
+    assert robot.commands[:4] == [*[DRIVES] * 3, 0.0]
 
 
 def test_a_clock_that_runs_backwards_stops_the_robot_and_it_begins_anew(capsys):
