@@ -274,15 +274,9 @@ def _human_measure(args):
     engine, note = _chosen(args)
     if args.lcf is not None and len(args.lcf) > 2:
         raise UsageError(f"--lcf takes one LCF, or the least and the greatest, not {len(args.lcf)} numbers.")
-    speed = args.preferred_speed
-    if speed is not None and speed != "human":
-        try:
-            speed = float(speed)
-        except ValueError:
-            raise UsageError(f"--preferred-speed must be a number [m/s] or human, not '{speed}'.") from None
     options = Options(
         radius=args.radius,
-        preferred_speed=speed,
+        preferred_speed=args.preferred_speed,
         max_speed=args.max_speed,
         lcf=None if args.lcf is None else (args.lcf[0], args.lcf[-1]),
         period=args.period,
@@ -437,16 +431,16 @@ def parser() -> Parser:
     )
     measure.add_argument("--pedestrian", type=name, required=True, help=f"{models}; or a file of people's walks")
     measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files, to be replayed")
-    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's, or 0.35)")
+    measure.number("--radius", float, *RADII, help="of people [m] (default: the policy's own, or 0.35)")
     measure.number("--seeds", int, 1, MOST_SEEDS, default=3, help="a method's policies, or runs")
     measure.number(
         "--lcf", float, -10.0, 10.0, nargs="+", default=None, help="everybody's LCF, or a range (default: Table II's)"
     )
     measure.add_argument("--matched", action="store_true", help="in open scenes, at the real people's mean speeds")
     measure.add_argument(
-        "--preferred-speed", type=name, default=None, help="a number [m/s], or human (default: the policy's own)"
+        "--preferred-speed", type=_preferred_speed, help="a number [m/s], LO:HI, or human (default: the policy's own)"
     )
-    measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
+    measure.number("--max-speed", float, 0.1, TOP_SPEED, help="of people [m/s] (default: the policy's own, or 1.5)")
     measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
     measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
     measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
