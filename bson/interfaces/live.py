@@ -56,16 +56,12 @@ class DrivePage(Page):
     ):
         self.setting, self._score, self._keep, self._driven = setting, score, keep, driven
         self._name = setting.name
-        config = setting.course.settings[setting.name]
-        full = max(1, person_count(1.0, config.map_size))
-        self._shown = self._base_density = round(min(1.0, config.people / full), 2)
-        model = config.pedestrian_model if isinstance(config.pedestrian_model, str) else "as the setting mixes them"
-        self._base_model = model
+        self._base = self._own_of(setting.name)
         self._driver, self._factory = PERSON, None
         self._share, self._eye, self._blind = 1.0, None, ""
         self._seen_model: Any = None  # the model that the eye draws
         seed = setting.course.after(None, driven(setting.name))
-        super().__init__(client, "bson live", model_names(), model, self._shown, seed)
+        super().__init__(client, "bson live", model_names(), *self._base, seed)
         self._choose(setting.called)
 
     # The world.
@@ -82,12 +78,18 @@ class DrivePage(Page):
         track = self.setting.track or (factory.track if factory else "local")
         return track, self.setting.sensor or (factory.sensor if factory else "lidar2d")
 
+    def _own_of(self, name):
+        """The pedestrian model and the density of the setting of this name, as the page's controls show them."""
+        config = self.setting.course.settings[name]
+        model = config.pedestrian_model if isinstance(config.pedestrian_model, str) else "as the setting mixes them"
+        return model, round(min(1.0, config.people / max(1, person_count(1.0, config.map_size))), 2)
+
     def _config(self):
         """The TaskConfig of the page's present setting."""
-        config = self.setting.course.settings[self._name]
-        if self.density != self._base_density:
+        config, (model, density) = self.setting.course.settings[self._name], self._base
+        if self.density != density:
             config = config.replace(pedestrian_density=self.density)
-        if self.model != self._base_model:
+        if self.model != model:
             config = config.replace(pedestrian_model=self.model)
         return config
 
@@ -257,12 +259,8 @@ class DrivePage(Page):
         self._share = float(share)
 
     def _set_setting(self, name):
-        self._name = name
-        config = self.setting.course.settings[name]
-        self.density = self._base_density = round(
-            min(1.0, config.people / max(1, person_count(1.0, config.map_size))), 2
-        )
-        self.renew_soon()
+        self._name, self._base = name, self._own_of(name)
+        self.take(*self._base)
 
     def step(self) -> None:
         """As Page.step; a drive step by step is no drive."""

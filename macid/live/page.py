@@ -437,10 +437,10 @@ class Page:
             self._who = gui.add_markdown("")
             self._one = gui.add_slider("LCF of one", -MAX_LCF, MAX_LCF, 0.05, 0.0, visible=False)
             self._on(self._one, self._set_one)
-            density = gui.add_slider("Density", 0.0, 1.0, 0.01, self.density)
-            self._on(density, self._set_density)
-            names = self.models if self.model in self.models else [self.model, *self.models]
-            self._on(gui.add_dropdown("Pedestrians", names, initial_value=self.model), self._set_model)
+            self._density = gui.add_slider("Density", 0.0, 1.0, 0.01, self.density)
+            self._on(self._density, self._set_density)
+            self._model = gui.add_dropdown("Pedestrians", self._names(), initial_value=self.model)
+            self._on(self._model, self._set_model)
         with gui.add_folder("View"):
             self._camera = gui.add_dropdown("Camera", self.cameras, initial_value=self.cameras[0])
             self._on(self._camera, self._camera_changed)
@@ -548,6 +548,16 @@ class Page:
 
     def _set_model(self, model):
         self.model = model
+        self.renew_soon()
+
+    def _names(self):
+        """The pedestrian models to choose from, the present one among them."""
+        return self.models if self.model in self.models else [self.model, *self.models]
+
+    def take(self, model: str, density: float) -> None:
+        """Takes the pedestrian model and the density of another setting, and begins an episode of it soon."""
+        self.model, self.density = model, density
+        self._model.options, self._model.value, self._density.value = tuple(self._names()), model, density
         self.renew_soon()
 
     def renew_soon(self) -> None:

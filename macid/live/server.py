@@ -272,7 +272,7 @@ class Server:
         ) as behind:
             back = threading.Thread(target=_pump, args=(behind, browser), daemon=True, name="live page")
             back.start()
-            _pump(browser, behind, skip=_SHARING)
+            _pump(browser, behind, lambda message: isinstance(message, bytes) and _SHARING not in message)
             back.join()
 
     def _came(self, client):
@@ -306,13 +306,13 @@ class Server:
             self._changed.notify_all()
 
 
-def _pump(source, target, skip=None):
-    """Passes messages on until either side closes, then closes the other; without those that have `skip` in them."""
+def _pump(source, target, may_pass=lambda message: True):
+    """Passes messages on that may pass, until either side closes, then closes the other."""
     from websockets.exceptions import ConnectionClosed
 
     with contextlib.suppress(ConnectionClosed, OSError):
         for message in source:
-            if skip is None or skip not in message:
+            if may_pass(message):
                 target.send(message)
     with contextlib.suppress(ConnectionClosed, OSError):
         target.close()

@@ -211,7 +211,7 @@ BAD = {
     "--suite smoke --cell none": "Suite 'smoke' has no cell 'none'. Choose one of 'all'.",
     "--sensor sonar": "Unknown sensor 'sonar'",
     "--set num_pedestrians=-1": "num_pedestrians must be a whole number",
-    "--set num_pedestrians=200 --set map_size=10": "people found room",
+    "--set num_pedestrians=500 --set map_size=20": "people found room",
     "--agent tac --set control_period=0.2": "Agent 'tac'",
     "--out /dev/null": "Can't write to '/dev/null'",
 }
