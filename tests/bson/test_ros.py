@@ -360,8 +360,8 @@ class Robot(Peer):
         self.scan = {"beams": 720, "half": Lidar2D().field / 2, "range_max": 30.0, **scan}
         self.speed, self.frame = 0.0, "odom"
 
-    def tell(self, stamp, goal=True, reading=float("inf")):
-        """Tells scan, odometry and goal at `stamp` [s]."""
+    def tell(self, stamp, goal=True, reading=float("inf"), blind=False):
+        """Tells scan, odometry and goal at `stamp` [s]; no scan, if it is `blind`."""
         scan, odometry, aim = (
             ros.kind_of(topic.kind)() for topic in (ros_agent.SCAN, ros_agent.ODOM, ros_agent.GOAL)
         )  # fmt: skip
@@ -377,7 +377,8 @@ class Robot(Peer):
         if goal:
             self.told["/goal_pose"].publish(aim)
         self.told["/odom"].publish(odometry)
-        self.told["/scan"].publish(scan)
+        if not blind:
+            self.told["/scan"].publish(scan)
 
     @property
     def commands(self):
@@ -410,9 +411,21 @@ def steps(robot, number, period=0.1, first=1.0, pause=0.03, **more):
 
 def test_stale_messages_stop_the_robot_and_then_end_the_node(capsys):
     robot = Robot()
-    assert "No /scan or /odom for 1 s: stopped the robot" in driven(robot, lambda robot: steps(robot, 5))
+    assert re.search("No /(scan|odom) for 1 s: stopped the robot", driven(robot, lambda robot: steps(robot, 5)))
     assert robot.commands[:5] == [DRIVES] * 5 and robot.commands[5] == 0.0
-    assert "no /scan or /odom for" in capsys.readouterr().err
+    assert re.search("no /(scan|odom) for 0.5 s: the robot stops", capsys.readouterr().err)
+
+
+def test_a_lidar_that_is_silent_stops_the_robot_though_odometry_goes_on(capsys):
+    robot = Robot()
+
+    def script(robot):
+        steps(robot, 3)
+        steps(robot, 12, first=1.3, pause=0.1, blind=True)
+
+    assert "No /scan for 1 s" in driven(robot, script)
+    assert robot.commands[:4] == [*[DRIVES] * 3, 0.0] and not any(robot.commands[3:])
+    assert "no /scan for" in capsys.readouterr().err
 
 
 def test_a_goal_that_is_not_latched_is_obeyed_too():
