@@ -92,7 +92,7 @@ class AgentNode:
         self._made: tuple[Agent, Lidar2D] | None = None  # from the first scan on
         self._last: dict[Topic, Any] = {}
         self._acted, self._decided = -1, np.zeros(2)  # the last decision: its stamp [ns], the command
-        self._heard = time.monotonic()
+        self._heard: dict[Topic, float] = {}  # when each topic was heard last, by the machine's clock [s]
         self._intervals: list[float] = []
         self._began = False  # whether the goal is one for which the agent has not been reset
         self._standing = True  # by the last command
@@ -126,6 +126,7 @@ class AgentNode:
         for topic in heard:
             self._subscribe(topic, self._reliable(topic))
         self._needed = [topic for topic in heard if topic != SCAN]
+        self._heard = dict.fromkeys(heard, time.monotonic())
 
     def _reliable(self, topic):
         from rclpy.qos import ReliabilityPolicy
@@ -144,7 +145,7 @@ class AgentNode:
         )
 
     def _receive(self, topic, message):
-        self._heard = time.monotonic()
+        self._heard[topic] = time.monotonic()
         stamp, before = ros.stamp_of(message), self._last.get(topic)
         if topic == GOAL:
             if before is None or message != before:
@@ -279,23 +280,22 @@ class AgentNode:
         """Drives. Raises AgentError once messages stay out for the time-out; the robot is stopped before, and at any
         other end."""
         self.connect()
-        self._heard = time.monotonic()
         most = max(STALE, 2 * self._period)
         try:
             while True:
                 self._wire.spin(_LOOK)
-                silent = time.monotonic() - self._heard
-                patience = (
-                    self._timeout if self._intervals else max(PATIENCE, self._timeout)
-                )  # a world may begin slowly
+                late = min((SCAN, *self._needed), key=lambda topic: self._heard[topic])
+                silent = time.monotonic() - self._heard[late]
+                # A world may take long for its first step.
+                patience = self._timeout if self._intervals else max(PATIENCE, self._timeout)
                 if silent > most and not self._standing:
-                    ros.warn(f"no {SCAN.name} or {ODOM.name} for {silent:.1f} s: the robot stops")
+                    ros.warn(f"no {late.name} for {silent:.1f} s: the robot stops")
                     self.stop()
-                if silent > patience or (silent > most and not self._wire.check_publishers(SCAN)):
+                if silent > patience:
+                    raise AgentError(f"No {late.name} for {patience:g} s: stopped the robot.")
+                if silent > most and not self._wire.check_publishers(late):
                     raise AgentError(
-                        f"Nobody publishes {SCAN.name} any more: stopped the robot, after {self._acted / 1e9:.2f} s."
-                        if silent <= patience
-                        else f"No {SCAN.name} or {ODOM.name} for {patience:g} s: stopped the robot."
+                        f"Nobody publishes {late.name} any more: stopped the robot, after {self._acted / 1e9:.2f} s."
                     )
         finally:
             self.stop()

@@ -169,7 +169,7 @@ def test_killing_either_side_ends_the_other_in_one_line(killed, tmp_path):
         running("deploy", "--agent", "stop", "--goal-frame", "map", "--timeout", "4") as agent,
         running(*command, *endless, "--timeout", "4", cwd=tmp_path) as world,
     ):
-        until(lambda: len(peer.heard["/odom"]) >= 20 or world.poll() or agent.poll(), 120.0)
+        until(lambda: len(peer.heard["/odom"]) >= 20 or world.poll() or agent.poll(), 400.0)
         assert world.poll() is None and agent.poll() is None, (world.communicate(), agent.communicate())
         first, other = (world, agent) if killed == "world" else (agent, world)
         first.send_signal(signal.SIGKILL)
@@ -360,8 +360,8 @@ class Robot(Peer):
         self.scan = {"beams": 720, "half": Lidar2D().field / 2, "range_max": 30.0, **scan}
         self.speed, self.frame = 0.0, "odom"
 
-    def tell(self, stamp, goal=True, reading=float("inf")):
-        """Tells scan, odometry and goal at `stamp` [s]."""
+    def tell(self, stamp, goal=True, reading=float("inf"), blind=False):
+        """Tells scan, odometry and goal at `stamp` [s]; no scan, if it is `blind`."""
         scan, odometry, aim = (
             ros.kind_of(topic.kind)() for topic in (ros_agent.SCAN, ros_agent.ODOM, ros_agent.GOAL)
         )  # fmt: skip
@@ -377,21 +377,26 @@ class Robot(Peer):
         if goal:
             self.told["/goal_pose"].publish(aim)
         self.told["/odom"].publish(odometry)
-        self.told["/scan"].publish(scan)
+        if not blind:
+            self.told["/scan"].publish(scan)
 
     @property
     def commands(self):
         return [message.twist.linear.x for message in self.heard["/cmd_vel"]]
 
 
-def driven(robot, script, agent="goal", timeout=1.0, period=0.1, name="jackal"):
-    """The error with which the node ends, while `script(robot)` runs in another thread."""
+def driven(robot, script, agent="goal", timeout=60.0, period=0.1, name="jackal"):
+    """The error with which the node ends, while `script(robot)` runs in another thread. After that a scan of other
+    beams ends the node."""
     with robot, ros.wire("bson_agent") as wire:
         node = ros_agent.AgentNode(wire, load_agent(agent), agent, robot_config(name), period, timeout=timeout)
 
         def act():
             until(lambda: robot.told["/scan"].get_subscription_count() and robot.told["/odom"].get_subscription_count())
             script(robot)
+            robot.scan["beams"] = 10
+            if timeout > 10.0:
+                robot.tell(1000.0)
 
         thread = threading.Thread(target=act)
         thread.start()
@@ -402,39 +407,66 @@ def driven(robot, script, agent="goal", timeout=1.0, period=0.1, name="jackal"):
     return str(error.value)
 
 
+@pytest.fixture
+def patient(monkeypatch):
+    """A node that takes a busy machine for what it is: nothing is stale."""
+    monkeypatch.setattr(ros_agent, "STALE", 60.0)
+
+
 def steps(robot, number, period=0.1, first=1.0, pause=0.03, **more):
     for step in range(number):
         robot.tell(first + step * period, **more)
         time.sleep(pause)
 
 
+def heard(robot, number):
+    """Waits until the robot has got so many commands."""
+    until(lambda: len(robot.commands) >= number, 60.0)
+
+
 def test_stale_messages_stop_the_robot_and_then_end_the_node(capsys):
     robot = Robot()
-    assert "No /scan or /odom for 1 s: stopped the robot" in driven(robot, lambda robot: steps(robot, 5))
-    assert robot.commands[:5] == [DRIVES] * 5 and robot.commands[5] == 0.0
-    assert "no /scan or /odom for" in capsys.readouterr().err
+    told = driven(robot, lambda robot: steps(robot, 5), timeout=1.0)
+    assert re.search("No /(scan|odom) for 1 s: stopped the robot", told)
+    assert any(robot.commands) and robot.commands[-1] == 0.0
+    assert re.search("no /(scan|odom) for .* s: the robot stops", capsys.readouterr().err)
 
 
-def test_a_goal_that_is_not_latched_is_obeyed_too():
+def test_a_lidar_that_is_silent_stops_the_robot_though_odometry_goes_on(capsys):
+    robot = Robot()
+
+    def script(robot):
+        steps(robot, 3)
+        steps(robot, 12, first=1.3, pause=0.1, blind=True)
+
+    assert "No /scan for 1 s" in driven(robot, script, timeout=1.0)
+    assert any(robot.commands) and not any(robot.commands[3:])
+    assert "no /scan for" in capsys.readouterr().err
+
+
+def test_a_goal_that_is_not_latched_is_obeyed_too(patient):
     robot = Robot(latched=())  # as RViz gives goals
 
     def script(robot):
         until(lambda: robot.told["/goal_pose"].get_subscription_count())
         steps(robot, 3)
+        heard(robot, 3)
 
-    driven(robot, script)
-    assert robot.commands[:4] == [*[DRIVES] * 3, 0.0]
+    assert "from 720 beams to 10" in driven(robot, script)
+    assert robot.commands == [*[DRIVES] * 3, 0.0]
 
 
-def test_a_clock_that_runs_backwards_stops_the_robot_and_it_begins_anew(capsys):
+def test_a_clock_that_runs_backwards_stops_the_robot_and_it_begins_anew(capsys, patient):
     robot = Robot()
 
     def script(robot):
         steps(robot, 3, first=50.0)
+        heard(robot, 3)
         steps(robot, 3, first=1.0)
+        heard(robot, 7)
 
     driven(robot, script)
-    assert robot.commands[:7] == [*[DRIVES] * 3, 0.0, *[DRIVES] * 3]
+    assert robot.commands == [*[DRIVES] * 3, 0.0, *[DRIVES] * 3, 0.0]
     assert "the clock ran backwards, from 50.20 to 1.00 s" in capsys.readouterr().err
 
 
@@ -447,7 +479,7 @@ def test_a_clock_that_runs_backwards_stops_the_robot_and_it_begins_anew(capsys):
         ("tac", {"beams": 1}, r"/scan has 1 beams"),
     ],
 )
-def test_a_scan_that_the_policy_was_not_trained_with_is_refused(agent, changed, told):
+def test_a_scan_that_the_policy_was_not_trained_with_is_refused(agent, changed, told, patient):
     robot = Robot(**changed)
     if changed.get("beams") == 1:
         robot.scan["beams"] = 2
@@ -457,15 +489,12 @@ def test_a_scan_that_the_policy_was_not_trained_with_is_refused(agent, changed, 
     assert set(robot.commands) == {0.0}
 
 
-def test_the_rate_the_speed_and_the_goals_frame_are_held_against_the_robot():
+def test_the_rate_the_speed_and_the_goals_frame_are_held_against_the_robot(patient):
     told = driven(Robot(), lambda robot: steps(robot, 8, period=0.3))
     assert "/scan comes every 0.30 s, and the agent 'goal' decides every 0.1 s" in told
     robot = Robot()
-    assert driven(robot, lambda robot: steps(robot, 8, period=0.025, pause=0.02)) and robot.commands[:3] == [
-        DRIVES,
-        DRIVES,
-        0.0,
-    ]
+    driven(robot, lambda robot: (steps(robot, 8, period=0.025, pause=0.02), heard(robot, 2)))
+    assert robot.commands == [DRIVES, DRIVES, 0.0]  # at 1.0 and 1.1 s
     fast = Robot()
     fast.speed = 5.0
     assert "/odom tells 5.00 m/s, and the robot 'jackal' drives at 2 m/s at most" in driven(fast, lambda r: steps(r, 2))
@@ -473,13 +502,13 @@ def test_the_rate_the_speed_and_the_goals_frame_are_held_against_the_robot():
     other.frame = "map"
     assert "--goal-frame map" in driven(other, lambda robot: steps(robot, 2))
     slow = Robot()
-    driven(slow, lambda robot: steps(robot, 3), name="diffbot")
+    driven(slow, lambda robot: (steps(robot, 3), heard(robot, 3)), name="diffbot")
     assert max(slow.commands) == pytest.approx(DRIVES / 2.0 * robot_config("diffbot").max_speed)
 
 
-def test_beams_that_are_no_numbers_show_nothing_and_a_wrong_type_is_told(capsys):
+def test_beams_that_are_no_numbers_show_nothing_and_a_wrong_type_is_told(capsys, patient):
     blind = Robot()
-    driven(blind, lambda robot: steps(robot, 3, reading=float("nan")))
+    driven(blind, lambda robot: (steps(robot, 3, reading=float("nan")), heard(robot, 3)))
     assert set(blind.commands) == {0.0} and "not a number: the robot stops" in capsys.readouterr().err
     with Peer({"/scan": "sensor_msgs/msg/Imu"}, {}), ros.wire("bson_agent") as wire:
         node = ros_agent.AgentNode(wire, load_agent("goal"), "goal", robot_config("jackal"), 0.1)
