@@ -16,6 +16,7 @@ from macid.command import (
     MOST_WORLDS,
     PERIOD,
     Parser,
+    add_address,
     add_executor,
     check_words,
     name,
@@ -147,6 +148,25 @@ def _watch(args):
         companions=args.companions,
     )
     print(f"Written: {path}")
+    return 0
+
+
+def _live(args):
+    from macid import benchmark
+
+    benchmark.live(
+        args.pedestrian,
+        level=args.level,
+        people=args.people,
+        lcf=args.lcf,
+        seed=args.seed,
+        period=args.period,
+        leave=args.leave,
+        host=args.host,
+        port=args.port,
+        token=args.token,
+        stays=args.stay,
+    )
     return 0
 
 
@@ -321,6 +341,25 @@ def parser() -> Parser:
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
 
+    live = commands.add_parser(
+        "live",
+        help="a page with a crowd in 3D, whose LCFs are turned while it walks (extra `live`)",
+        formatter_class=HelpFormatter,
+    )
+    live.add_argument("--pedestrian", type=name, default="macid", help=models)
+    live.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
+    live.number("--people", int, 1, 500, default=None, help="(default: the level's)")
+    live.add_argument(
+        "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
+    )
+    live.number("--seed", int, 0, MOST_SEED, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
+    live.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
+    live.add_argument(
+        "--leave", action="store_true", help="a person who arrives leaves, as in evaluate, instead of walking on"
+    )
+    add_address(live)
+    live.set_defaults(run=_live)
+
     export = commands.add_parser(
         "export",
         help="write one seed's crowd as MJCF, for MuJoCo, its viewer and MJX without this project",
@@ -419,7 +458,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         check_words(argv)
         args = parser().parse_args(argv)
         args.argv = argv
-        start_mujoco(draws=args.run is not _export)
+        start_mujoco(draws=args.run not in (_export, _live))
         return args.run(args)
 
     return run_command("macid", command)

@@ -20,6 +20,7 @@ MACID = (
     "evaluate",
     "watch",
     "human",
+    "live",
     "parallel_env",
     "bench benchmark command",
     "cli",
