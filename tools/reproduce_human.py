@@ -100,7 +100,8 @@ def cell(row, digits):
 def lines(documents, table, keys):
     """A Markdown table of the measures `keys`: people, then a row a model and radius."""
     shown = [each for each in figures.MEASURES if each.key in keys]
-    rows = [f"| model | seeds | radius [m] | {' | '.join(each.key for each in shown)} |", "|---" * (3 + len(shown)) + "|"]
+    names = " | ".join(each.key for each in shown)
+    rows = [f"| model | seeds | radius [m] | {names} |", "|---" * (3 + len(shown)) + "|"]
     people = next(iter(documents.values()))["measures"]
     told = ["-" if people[m.key]["people"] is None else f"{people[m.key]['people']:.{m.digits}f}" for m in shown]
     rows.append(f"| people | | | {' | '.join(told)} |")

@@ -50,6 +50,10 @@ MEASURES = (
     *(Measure(f"v{rho:g}", f"speed at {rho:g} people/m2", "m/s", 2, "one way") for rho in measures.DENSITIES),
     *(Measure(f"exit{width:g}", f"flow through an exit of {width:g} m", "1/m/s", 2, "exit") for width in EXITS),
     *(
+        Measure(f"before{rho:g}", f"speed at {rho:g} people/m2, before an exit", "m/s", 2, "exit")
+        for rho in measures.DENSITIES
+    ),
+    *(
         Measure(f"{key}{side}", f"{title}, {side} a side", unit, digits, "two ways")
         for side in SIDES
         for key, title, unit, digits in (
@@ -127,6 +131,15 @@ def diagram(points: list[tuple[np.ndarray, np.ndarray]]) -> tuple[dict[str, Any]
     return values, {"diagram": rows}
 
 
+def before_exit(points: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
+    """The values of the fundamental diagram of people who walk towards an exit, in the box 3 to 5 m before it. Other
+    than on a ring, how fast they can go there is up to the exit. points: as of measures.densities, several runs'."""
+    if not points:
+        return {}
+    binned = measures.binned(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
+    return {f"before{rho:g}": each for rho, each in zip(measures.DENSITIES, binned, strict=True)}
+
+
 class Crossing(NamedTuple):
     """What two ways do at the instants when both are in the middle box."""
 
@@ -170,7 +183,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
     """(values, curves) of files of the lab's. part: of each the share of its time of which alone they are.
 
     What the two ways do is told at the densities that SIDES come to, SIDE_DENSITIES."""
-    values, points, smooth, curves, crowds, through, exits = {}, [], [], {}, [], [], []
+    values, points, before, smooth, curves, crowds, through, exits = {}, [], [], [], {}, [], [], []
     for walk in walks:
         low, high = (round(share * len(walk.position)) for share in part)
         position, place = walk.position[low:high], walk.source.place if walk.source else None
@@ -179,6 +192,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
         if isinstance(place, Bottleneck):
             points.append(measures.densities(position, walk.period, box(place.width)))
             if place.exit < place.width:
+                before.append(points[-1])
                 times = measures.crossing_times(walk.position, walk.period, place.exit_y)
                 first, last = (0.1 + 0.7 * share for share in part)  # as of measures.flow
                 times = times[round(first * len(times)) : round(last * len(times)) + 1]
@@ -193,6 +207,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
     if points:
         more, curves = diagram(points)
         values |= more
+    values |= before_exit(before)
     if crowds:
         crossing = Crossing(*(np.concatenate(parts) for parts in zip(*crowds, strict=True)))
         for side, density in zip(SIDES, SIDE_DENSITIES, strict=True):

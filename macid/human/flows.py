@@ -25,6 +25,7 @@ from macid.pedestrians import Controller
 EXIT_PLACES = (Bottleneck(1.8, 1.2, -4.0, 4.0), Bottleneck(3.0, 2.0, -4.0, 4.0))
 EXIT_PEOPLE = (80, 120)
 START_DENSITY = 1.6  # before the exit [1/m2]
+STARTS = 4.0  # until a crowd at rest walks [s]
 LONGEST = 60.0  # [s]
 CROSSING = 40.0  # of two ways [s]
 DENSER = 1.6  # a side's density at the start, over what it is to be in the middle
@@ -206,7 +207,8 @@ def flows(
         each = len(casts) // len(seeds)
         return [played[number * each : (number + 1) * each] for number in range(len(seeds))]
 
-    values, curves, smooth = ([{} for _ in seeds], [{} for _ in seeds], [[] for _ in seeds])
+    values, curves = [{} for _ in seeds], [{} for _ in seeds]
+    smooth, before = [[] for _ in seeds], [[] for _ in seeds]
     for place, number in zip(EXIT_PLACES, EXIT_PEOPLE, strict=True):
         tell(f"exit of {place.exit:g} m: {number} people")
         layout = exit_layout(place, 2.0 * number / (START_DENSITY * place.width) + 2.0)
@@ -214,6 +216,8 @@ def flows(
         for index, (walks,) in enumerate(play(layout, lambda rng, own, crowd=crowd: [crowd(rng, own)])):
             times = measures.crossing_times(walks, LAB_PERIOD, place.exit_y)
             values[index][f"exit{place.exit:g}"] = measures.flow(times, place.exit, number, LONGEST)
+            going = walks[round(STARTS / LAB_PERIOD) :]
+            before[index].append(measures.densities(going, LAB_PERIOD, figures.box(place.width)))
             smooth[index].append(measures.people(walks, LAB_PERIOD).smoothness)
     tell(f"one way: {', '.join(f'{rho:g}' for rho in measures.DENSITIES)} people/m2 on a ring")
     densities = [rho for rho in measures.DENSITIES if ring_cast(rho, body, np.random.default_rng(0), lambda n: None)]
@@ -241,6 +245,8 @@ def flows(
             names = (f"two_speed{side}", f"lanes{side}", f"two_density{side}")
             values[index] |= dict(zip(names, crossing.values(), strict=True))
             smooth[index].append(measures.people(walks, LAB_PERIOD).smoothness)
+    for index, points in enumerate(before):
+        values[index] |= figures.before_exit(points)
     for index, parts in enumerate(smooth):
         values[index]["smoothness"] = measures.mean(np.concatenate(parts))
     return [Runs(v, c, np.concatenate(s)) for v, c, s in zip(values, curves, smooth, strict=True)]
