@@ -21,6 +21,7 @@ from macid import arrays, assets, observation
 from macid.documents import convert, parse, read_bytes
 from macid.files import UsageError, write_bytes, write_json
 from macid.geometry import Array
+from macid.networks import Layers, mlp
 from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
 
 HIDDEN = (64, 64, 64)
@@ -32,6 +33,7 @@ MOST_LAYERS = 64
 MOST_POLICY_BYTES = 1 << 26  # a policy's weights, packed and unpacked [bytes]
 MOST_RECIPE_BYTES = 1 << 24  # its recipe [bytes]
 _GOAL_SCALE = math.log1p(24.0)
+_ENCODER = "person_"  # begins the names of the encoder's arrays in a policy's file
 _RAYS, _DISTANCES = slice(5, observation.SIZE), slice(5, observation.SIZE, 3)  # columns
 
 
@@ -65,15 +67,7 @@ def as_observed(observed: Array) -> Array:
 
 # What networks see of an observation (..., 41): {a recipe's "inputs": (the function, how many numbers it gives)}.
 INPUTS = {"features": (features, FEATURES), "observation": (as_observed, observation.SIZE)}
-
-
-def mlp(layers: Sequence[tuple[Array, Array]], x: Array) -> Array:
-    """A tanh network with a linear last layer: `layers` is [(weight (in, out), bias (out,)), ...], x (..., in)."""
-    xp = x.__array_namespace__()
-    for weight, bias in layers[:-1]:
-        x = xp.tanh(x @ weight + bias)
-    weight, bias = layers[-1]
-    return x @ weight + bias
+ENCOUNTERS = "encounters"  # the "inputs" in the recipe of an EncounterPolicy, which sees `macid.encounters` instead
 
 
 def to_velocity(action: Array) -> Array:
@@ -96,6 +90,7 @@ class Policy:
 
     layers: tuple
     recipe: dict
+    person: tuple = ()  # the layers of the encoder of a person, in an EncounterPolicy
 
     def __post_init__(self):
         check_layers(self.layers)
@@ -129,7 +124,7 @@ class Policy:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
-        write_network(path, self.layers, self.recipe)
+        write_network(path, self.layers, self.recipe, self.person)
 
     def to_torch(self) -> Any:
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch.
@@ -175,11 +170,11 @@ class Policy:
                 observed, lcf = taken(observed, "An observation", weight), taken(lcf, "An LCF", weight)
                 # Tracing takes a shape for values. (torch documents is_tracing as public, but its types don't.)
                 if not torch.jit.is_tracing():  # pyright: ignore[reportPrivateImportUsage]
-                    _check_shapes(observed.shape, lcf.shape)
+                    check_shapes(observed.shape, lcf.shape)
                 if (values := seen(observed)) is not None:
                     _check_observed(values)
                 if (values := seen(lcf)) is not None:
-                    _check_lcf(values)
+                    check_lcf(values)
                 rays = observed[..., _RAYS].unflatten(-1, (observation.RAYS, 3))
                 distance, relative = rays[..., :1], rays[..., 1:].nan_to_num().clamp(-MOST_READING, MOST_READING)
                 met = distance < observation.RAY_RANGE
@@ -220,18 +215,18 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     isn't understood: RAY_RANGE of an unknown distance, 0 of a negative one, 0 of another NaN, and the nearer end of its
     range of a number outside it.
     """
-    observed, lcf = _numbers(observed, "An observation"), _numbers(lcf, "An LCF")
-    _check_shapes(observed.shape, lcf.shape)
-    xp = (lcf if _is_traced(lcf) else observed).__array_namespace__()
-    if _is_traced(lcf):
-        lcf = _within(xp, lcf, -MAX_LCF, MAX_LCF)
+    observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
+    check_shapes(observed.shape, lcf.shape)
+    xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
+    if is_traced(lcf):
+        lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
     else:
-        _check_lcf(np.asarray(lcf))
-    if _is_traced(observed):
+        check_lcf(np.asarray(lcf))
+    if is_traced(observed):
         ray = [0.0, -MOST_READING, -MOST_READING]
         least = xp.asarray([-MOST_READING] * 5 + ray * observation.RAYS, dtype=np.float32)
         known = observed[..., _DISTANCES] < observation.RAY_RANGE
-        observed = _within(xp, observed, least, MOST_READING)
+        observed = within(xp, observed, least, MOST_READING)
     else:
         values = np.asarray(observed)
         _check_observed(values)
@@ -244,18 +239,18 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     return xp.concatenate([observed[..., :5], rays], axis=-1), xp.asarray(lcf)
 
 
-def _within(xp, x, least, most):
+def within(xp: Any, x: Array, least: Array, most: Array) -> Array:
     """`x` in [least, most], NaN as 0."""
     return xp.clip(xp.where(xp.isnan(x), xp.zeros_like(x), x), least, most)
 
 
-def _is_traced(x):
+def is_traced(x: Array) -> bool:
     """Whether `x` stands for values that JAX doesn't have yet, as under jax.jit."""
     jax = sys.modules.get("jax")
     return jax is not None and isinstance(x, jax.core.Tracer)
 
 
-def _numbers(values, what):
+def as_numbers(values: Any, what: str) -> Array:
     """`values` as a float32 array, NumPy's or JAX's. Raises ValueError where they are no numbers."""
     if not hasattr(values, "__array_namespace__"):
         try:
@@ -269,11 +264,14 @@ def _numbers(values, what):
         return xp.asarray(values, dtype=np.float32)
 
 
-def _check_shapes(observed, lcf):
-    """Raises ValueError unless the shapes are those of observations (..., 41) and of LCFs that fit them."""
-    if not observed or observed[-1] != observation.SIZE:
+def check_shapes(
+    observed: tuple[int, ...], lcf: tuple[int, ...], size: int = observation.SIZE, module: str = "macid.observation"
+) -> None:
+    """Raises ValueError unless the shapes are those of observations (..., size) and of LCFs that fit them. module: what
+    describes the observations."""
+    if not observed or observed[-1] != size:
         given = observed[-1] if observed else "one number"
-        raise ValueError(f"An observation has {observation.SIZE} columns (macid.observation), not {given}.")
+        raise ValueError(f"An observation has {size} columns ({module}), not {given}.")
     try:
         fits = np.broadcast_shapes(lcf, observed[:-1]) == tuple(observed[:-1])
     except ValueError:
@@ -307,7 +305,7 @@ def _check_observed(observed):
     raise ValueError(f"An observation can't be understood: {where}, is {value:g}; {wanted} is wanted.")
 
 
-def _check_lcf(lcf):
+def check_lcf(lcf: np.ndarray) -> None:
     """Raises ValueError unless every number of the NumPy array is an LCF."""
     good = np.abs(lcf) <= MAX_LCF
     if not good.all():
@@ -335,23 +333,32 @@ def load_policy(name: str) -> Policy:
 @functools.lru_cache(64)
 def _made(path, weights, recipe):
     """One Policy for the same content (bytes) of its two files, so that what was compiled for it serves again."""
-    layers, document = _parsed(path, weights, recipe)
+    layers, person, document = _parsed(path, weights, recipe)
     seen = document.get("inputs", "features")
     # A robot's policy is told by its size before its recipe is looked at.
     width = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
     taken, given = layers[0][0].shape[0], layers[-1][0].shape[1]
     for does, found, wanted in (("takes", taken, width), ("gives", given, ACTIONS)):
-        if found != wanted:
+        if not person and found != wanted:
             raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {found} numbers, not {wanted}.")
     convert(document, _Recipe, f"the recipe '{path.with_suffix('.json')}'")
+    if (seen == ENCOUNTERS) != bool(person):
+        raise UsageError(f"'{path}' is not a policy: its recipe's inputs are '{seen}', but its weights are others'.")
     if "period" in document:
         try:
             physics_steps(document["period"])
         except ValueError as error:
             raise UsageError(f"The recipe '{path.with_suffix('.json')}': {error}") from None
-    for array in (array for layer in layers for array in layer):
+    for array in (array for layer in (*layers, *person) for array in layer):
         array.flags.writeable = False
-    return Policy(layers, document)
+    if not person:
+        return Policy(layers, document)
+    from macid.encounter_policy import EncounterPolicy  # it is a Policy
+
+    try:
+        return EncounterPolicy(layers, document, person)
+    except ValueError as error:
+        raise UsageError(f"'{path}' is not a policy: {error}.") from None
 
 
 _Name = Annotated[str, msgspec.Meta(pattern=r"^[ -~]{1,200}\Z")]  # on one line of any terminal
@@ -363,7 +370,7 @@ class _Recipe(msgspec.Struct):
     name: _Name | msgspec.UnsetType = msgspec.UNSET
     method: _Name | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
-    inputs: Literal["features", "observation"] | msgspec.UnsetType = msgspec.UNSET  # the names of INPUTS
+    inputs: Literal["features", "observation", "encounters"] | msgspec.UnsetType = msgspec.UNSET  # INPUTS, ENCOUNTERS
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
@@ -373,7 +380,7 @@ class _Recipe(msgspec.Struct):
             raise ValueError("lcf_mean and lcf_std come together")
 
 
-def check_layers(layers: Sequence[tuple[Array, Array]]) -> None:
+def check_layers(layers: Layers) -> None:
     """Raises ValueError unless `layers`, [(weight (in, out), bias (out,)), ...], follow on each other, finite."""
     if not 1 <= len(layers) <= MOST_LAYERS:
         raise ValueError(f"a network has 1 to {MOST_LAYERS} layers, not {len(layers)}")
@@ -396,12 +403,16 @@ def check_layers(layers: Sequence[tuple[Array, Array]]) -> None:
         width = weight.shape[1]
 
 
-def write_network(path: str | os.PathLike[str], layers: Sequence[tuple[Array, Array]], recipe: dict[str, Any]) -> None:
-    """Writes `path`.npz (weights and biases of `layers`) and `path`.json (`recipe`), each all or nothing."""
+def write_network(
+    path: str | os.PathLike[str], layers: Layers, recipe: dict[str, Any], person: Layers = ()
+) -> None:
+    """Writes `path`.npz (weights and biases of `layers`, and of an encoder of people, `person`) and `path`.json
+    (`recipe`), each all or nothing."""
     path = pathlib.Path(path)
     found = {}
-    for index, (weight, bias) in enumerate(layers):
-        found[f"weight{index}"], found[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
+    for prefix, each in (("", layers), (_ENCODER, person)):
+        for index, (weight, bias) in enumerate(each):
+            found[f"{prefix}weight{index}"], found[f"{prefix}bias{index}"] = np.asarray(weight), np.asarray(bias)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **found)
     write_json(path.with_suffix(".json"), recipe)  # first: weights are never without their recipe
@@ -409,10 +420,13 @@ def write_network(path: str | os.PathLike[str], layers: Sequence[tuple[Array, Ar
 
 
 def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
-    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is
-    none."""
+    """What `write_network` wrote to `path` (.npz), without an encoder: (layers, recipe). Raises UsageError (a
+    ValueError) for what is none."""
     path = pathlib.Path(path)
-    return _parsed(path, *_contents(path))
+    layers, person, recipe = _parsed(path, *_contents(path))
+    if person:
+        raise UsageError(f"'{path}' is a pedestrians' policy, with an encoder of people.")
+    return layers, recipe
 
 
 def _contents(path):
@@ -422,18 +436,25 @@ def _contents(path):
 
 
 def _parsed(path, weights, recipe):
-    """(layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
+    """(layers, the encoder's layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
     try:
         found, documents = arrays.unpack(io.BytesIO(weights), MOST_POLICY_BYTES)
-        count = max(1, len(found) // 2)
-        wanted = [f"{kind}{number}" for number in range(count) for kind in ("weight", "bias")]
-        if documents or found.keys() != set(wanted):
-            odd = sorted({*found, *documents} - set(wanted)) or sorted(set(wanted) - found.keys())
+        encoder = sum(name.startswith(_ENCODER) for name in found) // 2
+        counts = {"": max(1, len(found) // 2 - encoder), _ENCODER: encoder}
+        wanted = {
+            prefix: [(f"{prefix}weight{number}", f"{prefix}bias{number}") for number in range(count)]
+            for prefix, count in counts.items()
+        }
+        names = {name for rows in wanted.values() for row in rows for name in row}
+        if documents or found.keys() != names:
+            odd = sorted({*found, *documents} - names) or sorted(names - found.keys())
             told = f"{odd[0][:60]!r} is odd or missing"
             raise ValueError(f"it must hold weight0, bias0, weight1 and so on, and nothing else: {told}")
-        layers = tuple((found[f"weight{number}"], found[f"bias{number}"]) for number in range(count))
+        layers, person = (tuple((found[w], found[b]) for w, b in wanted[prefix]) for prefix in ("", _ENCODER))
         check_layers(layers)
+        if person:
+            check_layers(person)
     except ValueError as error:
         raise UsageError(f"'{path}' is not a policy (npz with its json beside it): {error}.") from None
     document = parse(path.with_suffix(".json"), "the policy's recipe", recipe)
-    return layers, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")
+    return layers, person, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")
