@@ -8,13 +8,14 @@ import numpy as np
 
 from bson.robot import RobotConfig, robot_config
 from macid import layout as layouts
-from macid import pedestrians
+from macid import pedestrians, traits
 from macid.documents import is_number, shown
 from macid.layout import GOAL_DISTANCE, MAP_SIZE, Layout, NoFreeSpace
 from macid.maps import load_map
 from macid.reward import RewardWeights
-from macid.routing import Router, rest_of_route
-from macid.state import MAX_LCF, PHYSICS_STEP
+from macid.routing import Router, refuse_blocked_routes, rest_of_route
+from macid.scene import check_radius
+from macid.state import MAX_LCF, MAX_SPEED, PAPER_TRAITS, PHYSICS_STEP, RADIUS, Traits
 
 PEDESTRIANS = 24  # the paper's number, sec. VI-D
 MAX_PEDESTRIANS = 2000
@@ -32,6 +33,9 @@ class TaskConfig:
 
     The number of pedestrians is `num_pedestrians`, or `pedestrian_density` as a share of 0.08 persons/m2 (give one of
     the two; with neither, 24).
+
+    person_radius to companions say what people are like: see macid.scene.PersonConfig and macid.crowd.CrowdConfig.
+    Whatever the people's radius, they take the robot for a disc of the paper's, 0.35 m.
     """
 
     num_pedestrians: int | None = None
@@ -48,6 +52,10 @@ class TaskConfig:
     goal_distance: tuple[float, float] = (15.0, 40.0)  # from the robot's start to its goal, as the crow flies
     reward: RewardWeights = _REWARD
     robot: RobotConfig = _ROBOT  # or a name or file (bson.robot), or a dict of changed numbers
+    person_radius: float = RADIUS  # of every pedestrian
+    preferred_speed: Any = None  # of pedestrians [m/s]: a number, (least, most), "human"; None: each model's own
+    person_max_speed: float = MAX_SPEED  # of pedestrians [m/s]
+    companions: float | None = None  # share of pedestrians who walk in twos and threes; None: everybody walks alone
 
     def __post_init__(self):
         object.__setattr__(self, "lcf", _pair("lcf", self.lcf))
@@ -101,6 +109,12 @@ class TaskConfig:
         object.__setattr__(self, "pedestrian_model", _models(self.pedestrian_model))
         if self.lcf_each is not None:
             object.__setattr__(self, "lcf_each", _each(self.lcf_each, self.people))
+        check_radius("person_radius", self.person_radius)
+        object.__setattr__(self, "preferred_speed", traits.check_preferred_speed(self.preferred_speed))
+        traits.check_max_speed(self.person_max_speed, "person_max_speed")
+        traits.check_companions(self.companions)
+        if self.map is not None and self.person_radius > RADIUS:
+            refuse_blocked_routes(load_map(self.map), self.person_radius)
         object.__setattr__(self, "reward", _weights(self.reward))
         object.__setattr__(self, "robot", robot_config(self.robot))
         for name in self.model_shares:
@@ -242,6 +256,7 @@ class Spawn(NamedTuple):
     lcf: np.ndarray  #: (K,)
     models: np.ndarray  #: (K,) index of each person's model in the config's model_shares
     router: Router | None  #: the people's router, where walls bar their view
+    traits: Traits = PAPER_TRAITS  #: of people, (K,) each
 
 
 def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
@@ -257,12 +272,14 @@ def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
     else:
         layout = load_map(config.map)
     start, goal = _robot_ends(config, layout, rng)
-    router = Router(layout) if layout.routed else None
+    router = Router(layout, config.person_radius) if layout.routed else None
     people, people_goals = _people_ends(config, layout, rng, start, router)
     towards = goal - start[0]
     yaw = rng.uniform(-np.pi, np.pi, (len(people), 1))
     lcf = rng.uniform(*config.lcf, len(people))
     shares = list(config.model_shares.values())
+    models = rng.choice(len(shares), len(people), p=shares) if len(shares) > 1 else np.zeros(len(people), int)
+    people, people_goals, drawn = _people_traits(config, layout, rng, start, people, people_goals)
     return Spawn(
         layout,
         np.array([*start[0], np.arctan2(towards[1], towards[0])]),
@@ -270,9 +287,21 @@ def spawn(config: TaskConfig, rng: np.random.Generator) -> Spawn:
         np.concatenate([people, yaw], axis=-1),
         people_goals,
         lcf if config.lcf_each is None else np.array(config.lcf_each),
-        rng.choice(len(shares), len(people), p=shares) if len(shares) > 1 else np.zeros(len(people), int),
+        models,
         router,
+        drawn,
     )
+
+
+def _people_traits(config, layout, rng, robot, people, goals):
+    """People's starts and goals (K, 2) [m], where companions stand together, and their Traits."""
+    group, wanted = None, traits.draw_preferred_speed(rng, config.preferred_speed, len(people))
+    if config.companions is not None:
+        routes = np.arange(len(people)) % len(layout.routes) if layout.routes else None
+        people, goals, group = traits.gather(
+            rng, layout, people, goals, config.companions, config.person_radius, routes, robot, _START_CLEARANCE
+        )
+    return people, goals, traits.make_traits(config.person_radius, wanted, config.person_max_speed, group, len(people))
 
 
 def stops(layout: Layout, person: int, place: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -317,17 +346,17 @@ def _robot_ends(config, layout, rng):
 
 def _people_ends(config, layout, rng, robot, router):
     """People's starts (K, 2) and goals (K, 2) [m]."""
-    regions = layout.regions
+    regions, radius = layout.regions, config.person_radius
     joins = ways_checker(config, router)
     if not layout.routes:
         region = regions.get("people_start")
         fits = None if joins is None or region is not None else lambda places: joins(places, robot)
         people = layouts.sample_people(
-            rng, layout, config.people, taken=robot, keep_off=_START_CLEARANCE, region=region, fits=fits
+            rng, layout, config.people, taken=robot, keep_off=_START_CLEARANCE, region=region, fits=fits, radius=radius
         ).reshape(-1, 2)
-        return people, layouts.sample_goals(
-            rng, layout, people, config.people_goal_distance, region=regions.get("people_goal"), joins=joins
-        )
+        region = regions.get("people_goal")
+        distance = config.people_goal_distance
+        return people, layouts.sample_goals(rng, layout, people, distance, region=region, joins=joins, radius=radius)
     people, goals = np.empty((config.people, 2)), np.empty((config.people, 2))
     taken = robot
     for number, route in enumerate(layout.routes):
@@ -345,6 +374,7 @@ def _people_ends(config, layout, rng, robot, router):
             keep_off=_START_CLEARANCE,
             region=strips if region is None else region,
             region_name=f"routes[{number}]" if region is None else "people_start",
+            radius=radius,
         ).reshape(-1, 2)
         taken = np.concatenate([taken, people[who]])
         end = rng.integers(0, 2, len(who))

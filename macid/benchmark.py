@@ -11,6 +11,7 @@ from typing import Any
 from macid import start
 from macid.executors import Executor, make_executor
 from macid.files import UsageError, check_file, check_folder, new_folder, write_json
+from macid.state import MAX_SPEED, RADIUS
 
 
 def evaluate(
@@ -25,13 +26,17 @@ def evaluate(
     engine: str = "native",
     out: str | pathlib.Path | None = None,
     show: Callable[[str], None] = lambda line: None,
+    radius: float = RADIUS,
+    preferred_speed: float | tuple[float, float] | str | None = None,
+    max_speed: float = MAX_SPEED,
+    companions: float | None = None,
 ) -> list[dict[str, Any]]:
     """A pedestrian model on levels (Table II), as `macid evaluate` does: rows of macid.evaluate.evaluate_level.
 
     pedestrian: a rule, a shipped policy, or a policy file (.npz). period: between decisions [s] (default: the policy's
     own). lcf: range of LCFs (default: Table II's). bins: one row for each of Table I's six sections of the LCFs
-    instead. out: a JSON file for the rows; None: nothing is written. show: called with a line as a level begins. Raises
-    UsageError.
+    instead. out: a JSON file for the rows; None: nothing is written. show: called with a line as a level begins.
+    radius: of people [m]. preferred_speed, max_speed, companions: see macid.crowd.CrowdConfig. Raises UsageError.
     """
     from macid import evaluate as scoring
     from macid.crowd import CrowdConfig
@@ -44,7 +49,8 @@ def evaluate(
         raise UsageError("--bins has LCFs of its own: leave --lcf out.")
     least, most = lcf or scoring.table_lcf(pedestrian)
     ranges = scoring.lcf_bins(pedestrian) if bins else [(least, most)]
-    configs = [CrowdConfig(period=period, lcf=each) for each in ranges]
+    people = _people(radius, preferred_speed, max_speed, companions)
+    configs = [CrowdConfig(period=period, lcf=each, **people) for each in ranges]
     path = None if out is None else check_file(out, "JSON file")
     rows = []
     for level in levels:
@@ -54,6 +60,18 @@ def evaluate(
         with new_folder(path.parent):
             write_json(path, rows)
     return rows
+
+
+def _people(radius, preferred_speed, max_speed, companions):
+    """The fields of a CrowdConfig that say what people are like."""
+    from macid.scene import PersonConfig
+
+    return {
+        "person": PersonConfig(radius=radius),
+        "preferred_speed": preferred_speed,
+        "max_speed": max_speed,
+        "companions": companions,
+    }
 
 
 def watch(
@@ -71,6 +89,10 @@ def watch(
     scale: float = 0.75,
     show: Callable[[str], None] = lambda line: None,
     quiet: bool = False,
+    radius: float = RADIUS,
+    preferred_speed: float | tuple[float, float] | str | None = None,
+    max_speed: float = MAX_SPEED,
+    companions: float | None = None,
 ) -> pathlib.Path:
     """Films a crowd, as `macid watch` does; returns the path.
 
@@ -86,15 +108,15 @@ def watch(
     from macid.layout import load_level
 
     period = usual_period(pedestrian) if period is None else period
-    people = load_level(level).people
+    number = load_level(level).people
     path = pathlib.Path(out)
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
     check_file(path)
     if not 0 < seconds <= 600:
         raise UsageError(f"--seconds must be above 0 and at most 600, not {seconds:g}.")
-    if follow is not None and not 0 <= follow < people:
-        raise UsageError(f"--follow must be 0 to {people - 1}, one of the {people} people, not {follow}.")
+    if follow is not None and not 0 <= follow < number:
+        raise UsageError(f"--follow must be 0 to {number - 1}, one of the {number} people, not {follow}.")
     if not 0.25 <= scale <= 2:
         raise UsageError(f"--scale must be 0.25 to 2, not {scale:g}.")
     if at is not None and path.suffix != ".png":
@@ -102,7 +124,8 @@ def watch(
     if at is not None and not 0 <= at <= seconds:
         raise UsageError(f"--at must be 0 to {seconds:g}, the episode's length in seconds, not {at:g}.")
     least, most = lcf or table_lcf(pedestrian)
-    config = CrowdConfig(period=period, duration=seconds, lcf=(least, most))
+    people = _people(radius, preferred_speed, max_speed, companions)
+    config = CrowdConfig(period=period, duration=seconds, lcf=(least, most), **people)
     if problem := drawing.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     show(f"{pedestrian} on {level_name(level)} ...")

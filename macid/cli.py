@@ -29,6 +29,7 @@ from macid.files import (
     start_mujoco,
     write_json,
 )
+from macid.state import MAX_SPEED, RADII, RADIUS, TOP_SPEED
 
 _ENGINE = "native (CPU), mjx or warp (GPU), with options as in warp:contacts=4 (default: the best there is; it is told)"
 _PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
@@ -64,6 +65,32 @@ def _after(note, show):
     return tell
 
 
+def _preferred_speed(text):
+    """A preferred speed, for argparse: a number, LO:HI, or human."""
+    from macid.traits import check_preferred_speed
+
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = [text]
+    try:
+        return check_preferred_speed(parts[0] if len(parts) == 1 else tuple(parts))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _add_people(command):
+    """Adds the flags that say what people are like."""
+    command.number("--radius", float, *RADII, default=RADIUS, help="of people [m]")
+    command.add_argument(
+        "--preferred-speed",
+        type=_preferred_speed,
+        help="at which people want to walk [m/s]: a number, LO:HI, or human (default: each model's own)",
+    )
+    command.number("--max-speed", float, 0.1, TOP_SPEED, default=MAX_SPEED, help="of people [m/s]")
+    command.number("--companions", float, 0.0, 1.0, help="share of people who walk in twos and threes (default: none)")
+
+
 def _level(text):
     return int(text) if text.isdecimal() else text
 
@@ -88,6 +115,10 @@ def _evaluate(args):
         engine=engine,
         out=args.out,
         show=_after(note, _say),
+        radius=args.radius,
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
     )
     print(format_table(rows))
     print(f"Written to {pathlib.Path(args.out)}")
@@ -110,6 +141,10 @@ def _watch(args):
         at=args.at,
         scale=args.scale,
         show=_say,
+        radius=args.radius,
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
     )
     print(f"Written: {path}")
     return 0
@@ -121,6 +156,7 @@ def _export(args):
     from macid.export import export
     from macid.layout import load_level
     from macid.maps import load_map
+    from macid.scene import PersonConfig
 
     if args.map and args.level is not None:
         raise UsageError("--map and --level both say where: give one of them.")
@@ -128,7 +164,15 @@ def _export(args):
     layout = load_map(args.map) if args.map else load_level(level)
     seed = args.seed if args.map else (args.seed, *level_seed(level))
     number = args.people or layout.pedestrians or CrowdConfig.number
-    config = CrowdConfig(number=number, period=args.period, lcf=tuple(args.lcf))
+    config = CrowdConfig(
+        number=number,
+        period=args.period,
+        lcf=tuple(args.lcf),
+        person=PersonConfig(radius=args.radius),
+        preferred_speed=args.preferred_speed,
+        max_speed=args.max_speed,
+        companions=args.companions,
+    )
     start.cleaning_up()
     export(layout, config, seed, args.out, f"macid {shlex.join(args.argv)}")
     print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
@@ -222,6 +266,7 @@ def parser() -> Parser:
         "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
     )
     evaluate.add_argument("--bins", action="store_true", help="Table I: the six sections of the range of LCFs")
+    _add_people(evaluate)
     evaluate.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     evaluate.add_argument("--out", type=name, default="macid-evaluate.json", help="JSON file")
     evaluate.set_defaults(run=_evaluate)
@@ -240,6 +285,7 @@ def parser() -> Parser:
         "--follow", type=int, default=None, help="whose eyes to look through (default: one with far to go)"
     )
     watch.add_argument("--at", type=float, default=None, help="of a .png: the time in seconds (default: halfway)")
+    _add_people(watch)
     watch.add_argument("--scale", type=float, default=0.75, help="of the picture: 1 is 1500 x 760")
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
@@ -257,6 +303,7 @@ def parser() -> Parser:
     )
     export.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
     export.add_argument("--lcf", type=float, nargs=2, default=(-2.0, 2.0), metavar=("LO", "HI"), help="range of LCFs")
+    _add_people(export)
     export.add_argument("--out", type=name, required=True, help="folder, new or empty")
     export.set_defaults(run=_export)
 

@@ -8,18 +8,37 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from macid import geometry, scene
+from macid import geometry, scene, traits
 from macid.engines import make_engine
 from macid.engines.base import repeat
 from macid.geometry import Array
 from macid.layout import GOAL_DISTANCE, Layout, sample_goals, sample_people
 from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
-from macid.state import GOAL_RADIUS, MAX_LCF, PHYSICS_STEP, STALLED, CrowdState, parking_place, physics_steps
+from macid.state import (
+    GOAL_RADIUS,
+    MAX_LCF,
+    MAX_SPEED,
+    PAPER_TRAITS,
+    PHYSICS_STEP,
+    RADIUS,
+    STALLED,
+    CrowdState,
+    Traits,
+    parking_place,
+    physics_steps,
+)
 
 
 @dataclasses.dataclass(frozen=True)
 class CrowdConfig:
-    """A crowd on a map. Lengths in metres, times in seconds."""
+    """A crowd on a map. Lengths in metres, times in seconds.
+
+    preferred_speed: at which people want to walk [m/s]: a number; a range (least, most) or "human" (the normal
+    distribution of 1.34 and 0.26 m/s, Weidmann 1993, from 0.5 to 2 m/s), from which each draws; None: each model's own.
+    Rules take it for their desired speed. What a learned policy commands is multiplied by it over the policy's own free
+    speed (`macid.pedestrians.learned`). max_speed caps it. companions: the share of people who walk in twos and threes
+    (`macid.traits.gather`).
+    """
 
     number: int = 50
     period: float = PHYSICS_STEP  # between decisions; a multiple of the physics step
@@ -27,6 +46,9 @@ class CrowdConfig:
     lcf: tuple[float, float] = (-2.0, 2.0)  # the range from which each person's LCF is drawn
     goal_distance: tuple[float, float] = GOAL_DISTANCE
     person: scene.PersonConfig = scene.PERSON
+    preferred_speed: traits.PreferredSpeed = None  # [m/s]
+    max_speed: float = MAX_SPEED  # of everybody [m/s]
+    companions: float | None = None  # None: everybody walks alone
 
     def __post_init__(self):
         if self.number < 1:
@@ -36,6 +58,9 @@ class CrowdConfig:
             raise ValueError(f"duration must be at least the period, {self.period:g} s, not {self.duration} s.")
         if not -MAX_LCF <= self.lcf[0] <= self.lcf[1] <= MAX_LCF:
             raise ValueError(f"lcf must be a range (least, most) in [-{MAX_LCF:g}, {MAX_LCF:g}], not {self.lcf}.")
+        object.__setattr__(self, "preferred_speed", traits.check_preferred_speed(self.preferred_speed))
+        traits.check_max_speed(self.max_speed)
+        traits.check_companions(self.companions)
 
     @property
     def substeps(self) -> int:
@@ -65,6 +90,7 @@ class Episode(NamedTuple):
     sped: Any  #: sum of the changes of speed between decisions, without their sign [m/s]
     turned: Any  #: sum of the changes of the yaw rate between decisions, without their sign [rad/s]
     stalled: Any  #: time below STALLED [s]
+    traits: Traits = PAPER_TRAITS
 
 
 class Outcome(NamedTuple):
@@ -105,17 +131,30 @@ class Crowd:
 
     def draw(
         self, rng: np.random.Generator, nworld: int, lcf: tuple[float, float]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Starts and goals (nworld, K, 2) [m] and LCFs (nworld, K), these from the range `lcf`, drawn from the numpy
-        Generator `rng`. Raises NoFreeSpace."""
-        number = self.config.number
-        starts = np.stack([sample_people(rng, self.layout, number) for _ in range(nworld)])
-        goals = np.stack([sample_goals(rng, self.layout, s, self.config.goal_distance) for s in starts])
-        return starts, goals, rng.uniform(*lcf, (nworld, number))
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Traits]:
+        """Starts and goals (nworld, K, 2) [m], LCFs (nworld, K), these from the range `lcf`, and Traits (nworld, K),
+        drawn from the numpy Generator `rng`. Raises NoFreeSpace."""
+        config, number, radius = self.config, self.config.number, self.config.person.radius
+        starts = np.stack([sample_people(rng, self.layout, number, radius=radius) for _ in range(nworld)])
+        goals = [sample_goals(rng, self.layout, s, config.goal_distance, radius=radius) for s in starts]
+        goals, lcf = np.stack(goals), rng.uniform(*lcf, (nworld, number))
+        drawn = []  # after all else, which stays the same without
+        for world in range(nworld):
+            group, wanted = None, traits.draw_preferred_speed(rng, config.preferred_speed, number)
+            if config.companions is not None:
+                found = traits.gather(rng, self.layout, starts[world], goals[world], config.companions, radius)
+                starts[world], goals[world], group = found
+            drawn.append(traits.make_traits(radius, wanted, config.max_speed, group, number))
+        return starts, goals, lcf, jax.tree.map(lambda *each: np.stack(each), *drawn)
 
-    def begin(self, starts: np.ndarray, goals: np.ndarray, lcf: np.ndarray) -> Episode:
-        """The episodes of people who stand at `starts` and go to `goals`, (nworld, K, 2) [m], with the LCFs `lcf`."""
+    def begin(self, starts: np.ndarray, goals: np.ndarray, lcf: np.ndarray, traits: Traits = PAPER_TRAITS) -> Episode:
+        """The episodes of people who stand at `starts` and go to `goals`, (nworld, K, 2) [m], with the LCFs `lcf` and
+        `traits`, of which the radius is the config's. Raises ValueError for another radius."""
         shape, towards = (self.nworld, self.config.number), goals - starts
+        radius = self.config.person.radius
+        if traits.radius is not None and not np.allclose(traits.radius, radius, rtol=0.0, atol=1e-6):
+            raise ValueError(f"The people of this crowd have the radius {radius:g} m: set it in its PersonConfig.")
+        traits = traits._replace(radius=None if radius == RADIUS else np.full(shape, radius, np.float32))
         state = self._init(starts, np.arctan2(towards[..., 1], towards[..., 0]))
         return Episode(
             state,
@@ -125,7 +164,12 @@ class Crowd:
             jnp.zeros(shape, jnp.int32),
             jnp.asarray(np.linalg.norm(towards, axis=-1), jnp.float32),
             *(jnp.zeros(shape, jnp.float32) for _ in range(5)),
+            traits=jax.tree.map(jnp.asarray, traits),
         )
+
+    def read(self, episode: Episode) -> CrowdState:
+        """The crowds of an Episode with its traits, leading axes (nworld, K)."""
+        return self.engine.read(episode.physics)._replace(traits=episode.traits)
 
     def step(self, episode: Episode, command: Array) -> Episode:
         """One decision: `command` (nworld, K, 3), world velocity [m/s] and yaw rate [rad/s], held for the period."""
@@ -165,7 +209,7 @@ class Crowd:
             turned=episode.turned + walking * jnp.abs(after.yaw_rate - first.yaw_rate),
             stalled=episode.stalled + walking * (speed < STALLED) * self.config.period,
         )
-        return following, Outcome(after, arrived, individual, shared)
+        return following, Outcome(after._replace(traits=episode.traits), arrived, individual, shared)
 
     def rollout(
         self,
@@ -185,7 +229,7 @@ class Crowd:
         if key not in compiled:
 
             def one(episode, _):
-                state = self.engine.read(episode.physics)
+                state = self.read(episode)
                 command = controller(state, self.boxes, episode.goals, episode.lcf)
                 return self.step(episode, command), record(state, episode)
 

@@ -302,16 +302,16 @@ class Stage(Offscreen):
         geom.emission, geom.specular, geom.shininess = glow, 0.15, 0.2
         self.scene.ngeom += 1
 
-    def add_people(self, poses: np.ndarray, colours: np.ndarray) -> None:
-        """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders: body and head in
-        `colours` (K, 3), and a visor where they face."""
+    def add_people(self, poses: np.ndarray, colours: np.ndarray, radius: float = RADIUS) -> None:
+        """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders of `radius` [m]: body
+        and head in `colours` (K, 3), and a visor where they face."""
         box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
         tube = mujoco.mjtGeom.mjGEOM_CYLINDER
-        waist, head = 1.16, 0.19
+        waist, head = 1.16, min(0.19, radius)
         for (x, y, yaw), rgb in zip(poses, colours, strict=True):
             c, s = math.cos(yaw), math.sin(yaw)
-            self.add(tube, [RADIUS, waist / 2, 0], [x, y, waist / 2], [*rgb, 1.0], glow=0.15)
-            self.add(ball, [RADIUS, RADIUS, 0.15], [x, y, waist], [*rgb, 1.0], glow=0.15)
+            self.add(tube, [radius, waist / 2, 0], [x, y, waist / 2], [*rgb, 1.0], glow=0.15)
+            self.add(ball, [radius, radius, 0.15], [x, y, waist], [*rgb, 1.0], glow=0.15)
             self.add(ball, [head, head, 0.22], [x, y, HEIGHT - 0.22], [*(0.85 * rgb), 1.0], glow=0.15)
             self.add(box, [0.10, 0.13, 0.045], [x + 0.13 * c, y + 0.13 * s, HEIGHT - 0.2], [0.1, 0.1, 0.12, 1.0], yaw)
 

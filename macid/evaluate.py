@@ -5,10 +5,11 @@ import itertools
 from collections.abc import Iterable
 from typing import Any
 
+import jax
 import numpy as np
 
 from macid import metrics
-from macid.crowd import CONFIG, Crowd, CrowdConfig, Episode
+from macid.crowd import CONFIG, Crowd, CrowdConfig
 from macid.engines.base import DIVERGED
 from macid.layout import LEVELS, OTHER_LEVELS, VALIDATION_LEVELS, load_level
 from macid.learning.methods import get_method
@@ -95,10 +96,10 @@ def _play(pedestrian, level, groups, seed, config, engine):
     config = dataclasses.replace(config, number=layout.people)
     crowd = Crowd(layout, config, nworld=sum(episodes for _, episodes in groups), engine=engine)
     drawn = [crowd.draw(np.random.default_rng((seed, *level_seed(level))), n, lcf) for lcf, n in groups]
-    start = crowd.begin(*(np.concatenate(arrays) for arrays in zip(*drawn, strict=True)))
+    start = crowd.begin(*jax.tree.map(lambda *arrays: np.concatenate(arrays), *drawn))
     end, _ = crowd.rollout(start, make_controller(pedestrian, config.period))
     whats = _faults(crowd, end)
-    end = end._replace(physics=None)._asdict()
+    end = end._replace(physics=None)
     last = np.cumsum([episodes for _, episodes in groups])
     ends = []
     for worlds in np.split(np.arange(crowd.nworld), last[:-1]):
@@ -108,8 +109,7 @@ def _play(pedestrian, level, groups, seed, config, engine):
                 f"There is nothing to score: physics failed in all episodes of '{pedestrian}' on {level_name(level)}. "
                 f"Episode {worlds[0]}: {whats[worlds[0]]}."
             )
-        parts = {name: np.asarray(leaf)[sound] for name, leaf in end.items() if leaf is not None}
-        ends.append(Episode(physics=None, **parts))
+        ends.append(jax.tree.map(lambda leaf, sound=sound: np.asarray(leaf)[sound], end))
     return layout, config, ends, [{"episode": world, "what": what} for world, what in enumerate(whats) if what]
 
 

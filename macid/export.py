@@ -14,6 +14,7 @@ import re
 import shutil
 from xml.etree import ElementTree
 
+import jax
 import mujoco
 import numpy as np
 
@@ -23,7 +24,7 @@ from macid.files import UsageError, named, versions, whole_folder, write_bytes, 
 from macid.geometry import rotate
 from macid.layout import Layout
 from macid.scene import crowd_spec
-from macid.state import HEIGHT, PHYSICS_STEP, RADIUS, RESPONSE
+from macid.state import HEIGHT, PAPER_TRAITS, PHYSICS_STEP, RADIUS, RESPONSE, Traits
 
 START = "start"  # the keyframe in each file
 ASSETS = "assets"  # the folder beside the files, for meshes and textures
@@ -138,19 +139,24 @@ def stand_at(spec: mujoco.MjSpec, people: np.ndarray, lcf: np.ndarray) -> None:
             joint.axis = [*rotate(np.array(direction), np.array(-yaw)), 0.0]  # the world's, in the turned body's frame
 
 
-def people_notes(people: np.ndarray, goals: np.ndarray, lcf: np.ndarray) -> dict:
-    """What an episode's JSON says of people: at `people` (K, 3), on their way to `goals` (K, 2), with `lcf` (K,)."""
+def people_notes(
+    people: np.ndarray, goals: np.ndarray, lcf: np.ndarray, radius: float = RADIUS, traits: Traits = PAPER_TRAITS
+) -> dict:
+    """What an episode's JSON says of people: at `people` (K, 3), on their way to `goals` (K, 2), with `lcf` (K,),
+    everybody's `radius` [m], and `traits` (K,), of which what is the paper's is left out."""
+    own = {name: getattr(traits, name) for name in ("preferred_speed", "max_speed", "group")}
     return {
         "number": len(people),
         "bodies": "person{k}",
         "qpos": "qpos[3 k : 3 k + 3] of person k: x, y [m], yaw [rad]; qvel: as many, [m/s] and [rad/s]; world frame",
         "ctrl": "ctrl[3 k : 3 k + 3] of person k: velocity x, y [m/s] in the world frame, yaw rate [rad/s]",
         "response": RESPONSE,
-        "radius": RADIUS,
+        "radius": radius,
         "height": HEIGHT,
         "start": _numbers(people),
         "goals": _numbers(goals),
         "lcf": _numbers(lcf),
+        **{name: np.asarray(value).tolist() for name, value in own.items() if value is not None},
     }
 
 
@@ -213,10 +219,10 @@ def export(
     """
     with whole_folder(out) as folder:
         crowd = Crowd(layout, config)
-        starts, goals, lcf = crowd.draw(np.random.default_rng(seed), 1, config.lcf)
-        episode = crowd.begin(starts, goals, lcf)
+        episode = crowd.reset(np.random.default_rng(seed))
         qpos = np.asarray(episode.physics.qpos[0], float)
         people, goals, lcf = qpos.reshape(-1, 3), np.asarray(episode.goals[0]), np.asarray(episode.lcf[0])
+        traits = jax.tree.map(lambda leaf: np.asarray(leaf[0]), episode.traits)
         spec = functools.partial(crowd_spec, layout, config.number, config.person)
         model = write_scene(spec(), folder / "scene.xml", {"qpos": qpos})
         view = spec()
@@ -231,13 +237,13 @@ def export(
             "physics_step": PHYSICS_STEP,
             "steps_per_decision": config.substeps,
             "sizes": {name: int(getattr(model, name)) for name in ("nq", "nv", "nu", "nsensordata")},
-            "people": people_notes(people, goals, lcf),
+            "people": people_notes(people, goals, lcf, config.person.radius, traits),
             "boxes": box_notes(layout.boxes),
         }
         text = _README.format(
             title=f"{config.number} people on the map '{layout.name}', seed {np.ravel(seed)[0]}",
             command=command,
-            radius=RADIUS,
+            radius=config.person.radius,
             height=HEIGHT,
             period=config.period,
             steps=config.substeps,

@@ -66,9 +66,9 @@ def norm(vector: Array) -> Array:
     return xp.sqrt(vector[..., 0] ** 2 + vector[..., 1] ** 2)
 
 
-def pairs_within(position: Array, distance: float) -> Array:
-    """Which of the points `position` (..., K, 2) are at most `distance` apart: (..., K, K) bool, False for a point and
-    itself."""
+def pairs_within(position: Array, distance: Array | float) -> Array:
+    """Which of the points `position` (..., K, 2) are at most `distance` apart, one number or (..., K, K): (..., K, K)
+    bool, False for a point and itself."""
     xp = _namespace(position)
     offset = position[..., :, None, :] - position[..., None, :, :]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2

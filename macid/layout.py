@@ -340,15 +340,16 @@ def sample_people(
     fits: Callable[[np.ndarray], np.ndarray] | None = None,
     who: str = "people",
     region_name: str = "people_start",
+    radius: float = RADIUS,
 ) -> np.ndarray:
     """`number` places where people stand free of obstacles and of each other.
 
     gap: least surface gap to one another and to obstacles [m]. taken: (M, 2) places that others hold already, from
     which people stay `keep_off` [m] more. region: boxes (N, 5) in which to stand (default: anywhere). fits: a function
     that tells which of the places (M, 2) will do, (M,) bool. who, region_name: how messages call people and region.
-    Returns (number, 2) [m]. Raises NoFreeSpace.
+    radius: everybody's [m]. Returns (number, 2) [m]. Raises NoFreeSpace.
     """
-    boxes, half = layout.boxes, layout.size / 2 - RADIUS
+    boxes, half = layout.boxes, layout.size / 2 - radius
     taken = np.reshape(np.asarray(taken, dtype=float), (-1, 2))
     places = np.empty((0, 2))
     for _ in range(_TRIES):
@@ -357,22 +358,22 @@ def sample_people(
             break
         candidates = _draw(rng, 2 * missing + 8, half, region)
         inside = (np.abs(candidates) <= half).all(axis=-1)
-        candidates = candidates[inside & (clearance(candidates, boxes) >= RADIUS + gap)]
+        candidates = candidates[inside & (clearance(candidates, boxes) >= radius + gap)]
         if len(taken):
             away = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
-            candidates = candidates[away >= 2 * RADIUS + gap + keep_off]
+            candidates = candidates[away >= 2 * radius + gap + keep_off]
         if fits is not None and len(candidates):
             candidates = candidates[fits(candidates)]
         for candidate in candidates[:missing]:
-            if not len(places) or np.linalg.norm(places - candidate, axis=-1).min() >= 2 * RADIUS + gap:
+            if not len(places) or np.linalg.norm(places - candidate, axis=-1).min() >= 2 * radius + gap:
                 places = np.concatenate([places, candidate[None]])
     if len(places) == number:
         return places
     most = most_clearance(layout, region)
-    need = f"{RADIUS + gap:.2f} m between a centre and obstacles"
+    need = f"{radius + gap:.2f} m between a centre and obstacles"
     where = _no_room(layout, region, region_name)
     found = f"Only {len(places)} of {number} people found room in" if who == "people" else f"{who} finds no room in"
-    if most < RADIUS + gap:
+    if most < radius + gap:
         raise NoFreeSpace(f"{found} {where}: {need} is asked for, and the most there is is {most:.2f} m.")
     cure = "Lower the pedestrian or obstacle density." if who == "people" else "Give it more room."
     raise NoFreeSpace(
@@ -390,15 +391,16 @@ def sample_goals(
     joins: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     who: str = "a person",
     region_name: str = "people_goal",
+    radius: float = RADIUS,
 ) -> np.ndarray:
     """A goal for each of `starts` (N, 2), in free space and `distance` (least, most) [m] away: (N, 2).
 
     region: boxes (M, 5) in which goals lie (default: anywhere). joins: a function of starts and goals (M, 2) that tells
     whether there is a way from each start to its goal, (M,) bool. who, region_name: how messages call people and
-    region. Raises NoFreeSpace when the map has no such place.
+    region. radius: theirs [m]. Raises NoFreeSpace when the map has no such place.
     """
     starts = np.asarray(starts, dtype=float)
-    boxes, half = layout.boxes, layout.size / 2 - RADIUS - gap
+    boxes, half = layout.boxes, layout.size / 2 - radius - gap
     goals, missing = np.full_like(starts, np.nan), np.arange(len(starts))
     for _ in range(_TRIES):
         if not len(missing):
@@ -410,7 +412,7 @@ def sample_goals(
             drawn = starts[missing] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         else:
             drawn = _draw(rng, len(missing), half, region)
-        good = (np.abs(drawn) <= half).all(axis=-1) & (clearance(drawn, boxes) >= RADIUS + gap)
+        good = (np.abs(drawn) <= half).all(axis=-1) & (clearance(drawn, boxes) >= radius + gap)
         if region is not None:
             apart = np.linalg.norm(drawn - starts[missing], axis=-1)
             good &= (apart >= distance[0]) & (apart <= distance[1])
@@ -425,5 +427,5 @@ def sample_goals(
     raise NoFreeSpace(
         f"Map '{layout.name}' ({layout.size:g} x {layout.size:g} m) has no free goal that can be reached {place}"
         f"{distance[0]:g} to {distance[1]:g} m from {np.round(starts[missing[0]], 2).tolist()} by {who}: "
-        f"{RADIUS + gap:.2f} m between its centre and obstacles is asked for, and the most there is is {most:.2f} m."
+        f"{radius + gap:.2f} m between its centre and obstacles is asked for, and the most there is is {most:.2f} m."
     )

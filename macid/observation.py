@@ -18,7 +18,7 @@ import math
 
 from macid import geometry
 from macid.geometry import Array
-from macid.state import RADIUS, CrowdState
+from macid.state import CrowdState
 
 RAYS = 12
 RAY_RANGE = 7.0  # [m]
@@ -37,7 +37,8 @@ def cast_rays(state: CrowdState, boxes: Array) -> tuple[Array, Array]:
     ahead = geometry.heading(state.yaw)[..., None, :]
     directions = geometry.from_frame(xp.asarray(_RAYS, dtype=ahead.dtype), ahead)
     others, boxes = state.position[..., None, :, :], boxes[..., None, :, :]
-    person, who = geometry.first_disc(state.position, directions, others, RADIUS)
+    radius = state.radius if state.traits.radius is None else state.radius[..., None, :]
+    person, who = geometry.first_disc(state.position, directions, others, radius)
     box = xp.min(geometry.ray_box_distance(state.position, directions, boxes), axis=-1)
     distance = xp.minimum(xp.minimum(person, box), xp.full_like(person, RAY_RANGE))
     met = xp.take_along_axis(state.velocity, who.reshape(*who.shape[:-2], -1, 1), axis=-2).reshape(directions.shape)

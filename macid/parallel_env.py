@@ -22,6 +22,7 @@ from macid.observation import RAY_RANGE, RAYS, SIZE, observe
 from macid.pedestrians.learned import to_command
 from macid.policy import ACTIONS, to_velocity
 from macid.reward import WEIGHTS, RewardWeights
+from macid.state import MAX_SPEED
 
 if TYPE_CHECKING:
     from macid.watch import Recording
@@ -40,7 +41,7 @@ class CrowdParallelEnv(ParallelEnv):
 
     | action | what | at -1 | at 1 |
     |---|---|---|---|
-    | 0 | speed ahead | 0 m/s | 1.5 m/s |
+    | 0 | speed ahead | 0 m/s | `config.max_speed` (1.5 m/s) |
     | 1 | yaw rate, counter-clockwise | -1 rad/s | 1 rad/s |
 
     What lies outside [-1, 1] is clipped. An action lasts `config.period` (0.02 s); people begin at rest, facing their
@@ -53,6 +54,7 @@ class CrowdParallelEnv(ParallelEnv):
     | individual | reward of eq. 5, by `weights`: metres closer, arrival, contact during the step |
     | neighborhood | eq. 1: the mean individual reward of the other agents within 5 m, 0 where there are none |
     | collisions | steps of 0.02 s in contact so far |
+    | preferred_speed, group | the agent's own, where `config` has preferred speeds or companions |
 
     The reward is individual + lcf * neighborhood (`reward="coordinated"`; eq. 2 has the same sum of advantages) or the
     individual reward alone (`reward="individual"`).
@@ -248,7 +250,16 @@ class CrowdParallelEnv(ParallelEnv):
         bounds = float(lcf.min()), float(lcf.max())
         goals = np.asarray(self._episode.goals)[0]
         return Recording(
-            name, self._level, self._seed, crowd.layout, crowd.config.period, bounds, lcf.copy(), goals, *fields
+            name,
+            self._level,
+            self._seed,
+            crowd.layout,
+            crowd.config.period,
+            bounds,
+            lcf.copy(),
+            goals,
+            *fields,
+            radius=crowd.config.person.radius,
         )
 
     def _look(self, episode):
@@ -259,7 +270,10 @@ class CrowdParallelEnv(ParallelEnv):
     def _advance(self, episode, action):
         """The next Episode under `action` (K, 2); observations, arrivals and rewards (K, ...); and its moment."""
         yaw = self.crowd.engine.read(episode.physics).yaw
-        episode, outcome = self.crowd.transition(episode, to_command(to_velocity(action[None]), yaw), self.weights)
+        velocity = to_velocity(action[None])
+        if episode.traits.max_speed is not None:
+            velocity = velocity.at[..., 0].multiply(episode.traits.max_speed / MAX_SPEED)
+        episode, outcome = self.crowd.transition(episode, to_command(velocity, yaw), self.weights)
         observed, moment = self._look(episode)
         # An agent that has left stands far away by now: its last observation is from the goal.
         observed = jax.lax.cond(
@@ -293,7 +307,10 @@ class CrowdParallelEnv(ParallelEnv):
         return {agent: rows[self._index[agent]] for agent in self.agents}
 
     def _infos(self, moment, **rewards):
-        columns = {"lcf": self._lcf, **rewards, "collisions": moment[-1][0]}
+        traits = self._episode.traits
+        own = {"preferred_speed": traits.preferred_speed, "group": traits.group}
+        own = {name: np.asarray(value)[0] for name, value in own.items() if value is not None}
+        columns = {"lcf": self._lcf, **rewards, "collisions": moment[-1][0], **own}
         names, values = list(columns), list(zip(*(column.tolist() for column in columns.values()), strict=True))
         return self._by_agent([dict(zip(names, row, strict=True)) for row in values])
 

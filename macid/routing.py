@@ -140,19 +140,19 @@ def _barred(starts, goals, boxes, radius):
     return barred
 
 
-def refuse_blocked_routes(layout: Any) -> None:
-    """Raises NoFreeSpace for a route of `layout` that has a point without room for a person, or points between which no
-    person can walk."""
+def refuse_blocked_routes(layout: Any, radius: float = RADIUS) -> None:
+    """Raises NoFreeSpace for a route of `layout` that has a point without room for a person of `radius` [m], or points
+    between which no such person can walk."""
     for number, route in enumerate(layout.routes):
         room = geometry.point_box_distance(route, layout.boxes).min(axis=-1)
-        if (room < RADIUS - 1e-9).any():
+        if (room < radius - 1e-9).any():
             point = int(np.argmin(room))
             raise NoFreeSpace(
                 f"Layout '{layout.name}': routes[{number}][{point}], {np.round(route[point], 2).tolist()}, is "
-                f"{room[point]:.2f} m from a box or wall, but a person needs {RADIUS} m."
+                f"{room[point]:.2f} m from a box or wall, but a person needs {radius} m."
             )
-    router = Router(layout) if layout.routed else None
-    parts, resolution = _parts(layout)
+    router = Router(layout, radius) if layout.routed else None
+    parts, resolution = _parts(layout, radius)
     for number, route in enumerate(layout.routes):
         column, row = np.minimum((route + layout.size / 2) // resolution, len(parts) - 1).astype(int).T
         part = parts[row, column]
@@ -163,22 +163,23 @@ def refuse_blocked_routes(layout: Any) -> None:
             first = int(np.argmin(joined))
             start, end = np.round(route[first : first + 2], 2).tolist()
             raise NoFreeSpace(
-                f"Layout '{layout.name}': routes[{number}] has no way for a person, of radius {RADIUS} m, from {start} "
+                f"Layout '{layout.name}': routes[{number}] has no way for a person, of radius {radius} m, from {start} "
                 f"to {end}."
             )
 
 
-def _parts(layout):
-    """The connected parts of a layout for persons: a number for each cell (rows, columns), and the cells' side [m].
+def _parts(layout, radius):
+    """The connected parts of a layout for persons of `radius`: a number for each cell (rows, columns), and the cells'
+    side [m].
 
-    Boxes grow by a little less than RADIUS, so that every cell with a point where a person has room is free.
+    Boxes grow by a little less than the radius, so that every cell with a point where a person has room is free.
     """
     import cv2
 
     resolution = max(0.05, layout.size / 4000)
     cells = max(1, int(np.ceil(layout.size / resolution)))
     free = np.ones((cells, cells), np.uint8)
-    grown, shift = max(RADIUS - 2 * resolution, 0.0), 8
+    grown, shift = max(radius - 2 * resolution, 0.0), 8
     for side in ((grown, 0.0), (0.0, grown)):
         boxes = layout.boxes + np.array([0.0, 0.0, *side, 0.0])
         corners = (geometry.box_corners(boxes) + layout.size / 2) / resolution - 0.5

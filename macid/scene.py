@@ -7,12 +7,14 @@ cost, and MJX has it. The visible cylinder is what rays, cameras and a robot mee
 """
 
 import dataclasses
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from macid.documents import is_number, shown
 from macid.layout import Layout
-from macid.state import HEIGHT, PHYSICS_STEP, RADIUS, RESPONSE
+from macid.state import HEIGHT, PHYSICS_STEP, RADII, RADIUS, RESPONSE
 
 # Contact bits: (contype, conaffinity) of each shape. Two shapes touch where one's type meets the other's affinity.
 BIT_PERSON, BIT_SOLID, BIT_FLOOR = 1, 2, 4
@@ -35,12 +37,23 @@ PERSON_RGBA = (0.36, 0.62, 0.40, 1.0)
 @dataclasses.dataclass(frozen=True)
 class PersonConfig:
     """A pedestrian's body. The actuators reach a commanded velocity with the time constant `response`, as long as they
-    need no more than `max_force` for it; Unity, the paper's engine, sets velocities at once."""
+    need no more than `max_force` for it; Unity, the paper's engine, sets velocities at once. Raises ValueError for a
+    radius outside RADII."""
 
     mass: float = 75.0  # [kg]
     response: float = RESPONSE  # [s]
     max_force: float = 400.0  # of each slide's actuator [N]: as hard as a person can push
     friction: float = 0.4  # sliding, with people and walls
+    radius: float = RADIUS  # of everybody [m]; real shoulders are nearer 0.2
+
+    def __post_init__(self):
+        check_radius("radius", self.radius)
+
+
+def check_radius(name: str, radius: Any) -> None:
+    """Raises ValueError, about `name`, unless `radius` [m] is one that people may have."""
+    if not is_number(radius, *RADII):
+        raise ValueError(f"{name} must be a number from {RADII[0]:g} to {RADII[1]:g} m, not {shown(radius)}.")
 
 
 PERSON = PersonConfig()  #: a person where nothing else is said
@@ -113,8 +126,9 @@ def add_people(spec: mujoco.MjSpec, number: int, config: PersonConfig = PersonCo
     """Adds `number` pedestrians, `person0` first, to a spec that has no joint yet. They start at the origin."""
     if spec.joints:
         raise ValueError("Pedestrians come first: add them before anything else that has joints.")
-    inertia = config.mass * RADIUS**2 / 2
-    sway = config.mass * (3 * RADIUS**2 + HEIGHT**2) / 12
+    radius = config.radius
+    inertia = config.mass * radius**2 / 2
+    sway = config.mass * (3 * radius**2 + HEIGHT**2) / 12
     for index in range(number):
         name = f"person{index}"
         body = spec.worldbody.add_body(name=name, pos=[0, 0, HEIGHT / 2])
@@ -140,7 +154,7 @@ def add_people(spec: mujoco.MjSpec, number: int, config: PersonConfig = PersonCo
         body.add_geom(
             name=f"{name}/cylinder",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[RADIUS, HEIGHT / 2, 0],
+            size=[radius, HEIGHT / 2, 0],
             rgba=PERSON_RGBA,
             contype=CYLINDER_CONTACT[0],
             conaffinity=CYLINDER_CONTACT[1],
@@ -149,7 +163,7 @@ def add_people(spec: mujoco.MjSpec, number: int, config: PersonConfig = PersonCo
         body.add_geom(
             name=f"{name}/proxy",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[RADIUS, 0, 0],
+            size=[radius, 0, 0],
             pos=[0, 0, _PROXY_HEIGHT - HEIGHT / 2],
             rgba=[0, 0, 0, 0],  # invisible, to rays too
             group=3,

@@ -7,9 +7,11 @@ import numpy as np
 from macid.geometry import Array
 
 RADIUS = 0.35  # of a pedestrian [m]
+RADII = (0.1, 0.5)  # least and greatest radius that people may be given [m]
 HEIGHT = 1.7  # of a pedestrian [m]
 RESPONSE = 0.01  # time constant with which a pedestrian's body follows a commanded velocity [s]
 MAX_SPEED = 1.5  # [m/s]
+TOP_SPEED = 2.0  # a maximum speed that people may be given, at most [m/s]
 MAX_YAW_RATE = 1.0  # [rad/s]
 MAX_LCF = 2.0  # local coordination factors lie within it, on both sides of 0
 CONTACT_GAP = 0.01  # a surface gap up to this counts as a collision [m] (Unity's contact offset)
@@ -39,6 +41,9 @@ class Traits(NamedTuple):
     group: Any = None  #: int: people of one number mean to stay together; None: everybody walks alone
 
 
+PAPER_TRAITS = Traits()  #: what everybody is like in the paper
+
+
 class CrowdState(NamedTuple):
     """A crowd at one instant, in the world frame. NumPy or JAX arrays, with any leading axes."""
 
@@ -47,12 +52,23 @@ class CrowdState(NamedTuple):
     velocity: Any  #: (..., K, 2) [m/s]
     yaw_rate: Any  #: (..., K) [rad/s]
     contact: Any  #: (..., K) bool: closer than CONTACT_GAP to a person, an obstacle or a wall
-    traits: Traits = Traits()  #: of each person; no leaves, and so nothing to trace, where all are the paper's
+    traits: Traits = PAPER_TRAITS  #: of each person; no leaves, and so nothing to trace, where all are the paper's
 
     @property
     def radius(self) -> Any:
         """Of each person (..., K), or one number for all [m]."""
         return RADIUS if self.traits.radius is None else self.traits.radius
+
+    def speeds(self, preferred: float, most: float) -> tuple[Any, Any]:
+        """(preferred speed, top speed) [m/s] of people whose model's own are `preferred` and `most`: numbers where the
+        traits leave them to the model, else arrays (..., K)."""
+        most = most if self.traits.max_speed is None else self.traits.max_speed
+        if self.traits.preferred_speed is not None:
+            preferred = self.traits.preferred_speed
+        elif self.traits.max_speed is None:
+            return preferred, most
+        xp = (preferred if self.traits.max_speed is None else most).__array_namespace__()
+        return xp.minimum(xp.asarray(preferred), xp.asarray(most)), most
 
 
 def parking_place(index: Array) -> np.ndarray:

@@ -66,6 +66,7 @@ class Recording:
     yaw: np.ndarray  # (T + 1, K)
     walking: np.ndarray  # (T + 1, K) bool: on the map
     collisions: np.ndarray  # (T + 1, K) steps of 0.02 s in contact so far
+    radius: float = RADIUS  # everybody's [m]
 
     @property
     def duration(self) -> float:
@@ -118,7 +119,8 @@ def record(pedestrian: str, level: int | str, config: CrowdConfig = CONFIG, seed
     fields = [np.concatenate([each, final[None]])[:, 0] for each, final in zip(moments, last, strict=True)]
     lcf, goals = np.asarray(start.lcf)[0], np.asarray(start.goals)[0]
     least, most = config.lcf
-    return Recording(pedestrian, level, seed, layout, config.period, (least, most), lcf, goals, *fields)
+    about = pedestrian, level, seed, layout, config.period, (least, most), lcf, goals
+    return Recording(*about, *fields, radius=config.person.radius)
 
 
 def worth_following(recording: Recording, step: int = 0) -> int:
@@ -198,8 +200,9 @@ class Film(drawing.Stage):
         seen = moment.walking & (offset @ ahead > -1.0) & (aside < depth * math.tan(_FIELD_OF_VIEW / 2) + 2.0)
         seen[person] = False
         for x, y in moment.position[seen]:  # in place of shadows, which take as long as all the rest
-            self.add(_TUBE, [1.2 * RADIUS, 0.002, 0], [x, y, 0.003], [0.0, 0.0, 0.0, 0.25], shadow=False)
-        self.add_people(np.column_stack([moment.position, moment.yaw])[seen], recording.colours[seen])
+            self.add(_TUBE, [1.2 * recording.radius, 0.002, 0], [x, y, 0.003], [0.0, 0.0, 0.0, 0.25], shadow=False)
+        poses = np.column_stack([moment.position, moment.yaw])[seen]
+        self.add_people(poses, recording.colours[seen], recording.radius)
         if moment.walking[person]:
             self.add_goal(recording.goals[person])
         forward = np.array([*(math.cos(_PITCH) * ahead), math.sin(_PITCH)])
@@ -251,8 +254,8 @@ class Film(drawing.Stage):
             drawing.disc(layer, goal, 2 * unit, self._faint[person])
             drawing.line(layer, ways[person], self._faint[person], 2 * unit)
         cv2.addWeighted(layer, 0.55, canvas, 0.45, 0.0, canvas)
-        radius = RADIUS * metre
-        noses = at(moment.position + 0.75 * RADIUS * geometry.heading(moment.yaw))
+        radius = recording.radius * metre
+        noses = at(moment.position + 0.75 * recording.radius * geometry.heading(moment.yaw))
         spots = at(moment.position)
         for person in np.flatnonzero(moment.touching):
             drawing.disc(canvas, spots[person], radius + 4 * unit, rgb255(_CONTACT_RGB))

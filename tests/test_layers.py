@@ -13,7 +13,7 @@ MACID = (
     "documents occupancy cover",
     "registry reward contacts",
     "routing layout policy observation metrics",
-    "maps scene executors cluster",
+    "maps scene executors cluster traits",
     "pedestrians engines drawing",
     "crowd forks",
     "learning export",

@@ -18,6 +18,7 @@ from bson.sensors import Sensor
 from bson.task import TaskConfig
 from macid.files import UsageError
 from macid.registry import Failed, raised
+from macid.state import RADIUS
 
 _OURS = (__file__, str(pathlib.Path(__file__).with_name("__init__.py")))
 
@@ -58,6 +59,7 @@ class Setting:
     sensors: tuple[Sensor, ...]  #: with their configurations: angles, ranges, places, noise, rates
     map: MapFrame
     horizon: int  #: control steps until an episode is cut off
+    person_radius: float = RADIUS  #: of pedestrians [m]
 
     @classmethod
     def of(cls, config: TaskConfig, track: LocalTrack) -> "Setting":
@@ -70,6 +72,7 @@ class Setting:
             tuple(track.sensors),
             MapFrame(config.map_size),
             config.horizon,
+            config.person_radius,
         )
 
     @classmethod
@@ -161,7 +164,7 @@ def check_settings(factory: Callable, configs: Iterable[TaskConfig], track: Loca
     """
     if not getattr(factory, "takes_setting", True):
         return
-    different = {(c.control_period, c.robot, c.map_size, c.horizon): c for c in configs}
+    different = {(c.control_period, c.robot, c.map_size, c.horizon, c.person_radius): c for c in configs}
     for config in different.values():
         made_for(factory, Setting.of(config, track))
 

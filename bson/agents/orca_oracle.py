@@ -30,7 +30,7 @@ from bson.planners.grid import Grid
 from macid import geometry
 from macid.pedestrians.orca import ORCA, best_velocity
 from macid.pedestrians.social_force import left_of
-from macid.state import RADIUS, parking_place
+from macid.state import parking_place
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,7 @@ class OrcaOracle:
         setting = Setting.default("global") if setting is None else setting
         setting.check_period(config.longest_period)
         self._robot = robot = setting.robot
+        self._person_radius = setting.person_radius
         self._period, self._replan = setting.control_period, setting.steps(config.replan)
         self.config = dataclasses.replace(
             config,
@@ -95,6 +96,7 @@ class OrcaOracle:
             self.config,
             self._period,
             self.radius,
+            self._person_radius,
             robot,
             position,
             velocity,
@@ -137,13 +139,13 @@ def _nearest(rows, distance, count):
     return np.vstack([nearest, missing])
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _choose(config, period, radius, robot, position, velocity, yaw, waypoint, boxes):
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def _choose(config, period, radius, person_radius, robot, position, velocity, yaw, waypoint, boxes):
     """The velocity (2,) [m/s] of the point, which is row 0 of `position` and `velocity` (1 + neighbors, 2)."""
     people = ORCA(
         period,
         preferred_speed=config.preferred_speed,
-        radius=(radius + RADIUS) / 2,  # the mean of both radii, as ORCA takes one radius for everybody
+        radius=(radius + person_radius) / 2,  # the mean of both radii, as ORCA takes one radius for everybody
         margin=config.margin / 2,
         max_neighbors=config.neighbors,
         horizon=config.horizon,

@@ -15,6 +15,7 @@ This agent adds two things.
 Only the observation is used: the goal, the velocity and the LIDAR.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ import numpy as np
 
 from bson.agents.contract import Setting
 from bson.agents.scan import Scan
+from macid.state import RADIUS
 
 _LEFT, _RIGHT = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # products in a least-squares fit
 
@@ -48,7 +50,7 @@ class VfhConfig:
     follow_gain: float = 0.5  # how much closer to the goal following must have brought the robot before it ends
 
     # people
-    person_radius: float = 0.35
+    person_radius: float = RADIUS  # where the setting has no other
     person_range: float = 9.0  # within which people are looked for
     person_beams: int = 4  # least number of beams on an object that may be a person
     person_error: float = 0.025  # greatest root-mean-square deviation of a person's outline from a circle
@@ -83,6 +85,8 @@ class Vfh:
     def __init__(self, setting: Setting | None = None, config: VfhConfig = VfhConfig()):
         setting = Setting.default() if setting is None else setting
         setting.check_period(config.longest_period)
+        if setting.person_radius != RADIUS:
+            config = dataclasses.replace(config, person_radius=setting.person_radius)
         self.config, self._limit, self._period = config, setting.top, setting.control_period
         self.radius = round(setting.robot.radius, 2)  # radius of the disc around the footprint [m]
         self._clearance = self.radius + config.clearance

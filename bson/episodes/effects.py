@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from macid import geometry
-from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS
+from macid.state import CONTACT_GAP, GOAL_RADIUS
 
 SOCIAL_SPACE = 3.6  # people within this distance count as met, surface to surface [m]
 
@@ -22,14 +22,14 @@ def _first_ways(people, goals):
     return step, walked[step, who] - (distance[0] - distance[step, who])
 
 
-def _contacts(people, who):
+def _contacts(people, who, radius):
     """The number (K,) of control steps after which each of the people `who` (K,) bool touches another of `people` (T +
-    1, K, 3)."""
+    1, K, 3), all of `radius` [m]."""
     places, steps = people[1:, :, :2], np.zeros(people.shape[1], int)
     for person in np.flatnonzero(who):
         apart = geometry.norm(places - places[:, person, None])
         apart[:, person] = np.inf
-        steps[person] = (apart.min(axis=-1) <= 2 * RADIUS + CONTACT_GAP).sum()
+        steps[person] = (apart.min(axis=-1) <= 2 * radius + CONTACT_GAP).sum()
     return steps
 
 
@@ -37,7 +37,7 @@ def _met(episode):
     """Whether the robot came near each person (K,), within SOCIAL_SPACE as discs, before the person's first goal was
     reached."""
     apart = geometry.norm(episode.people[..., :2] - episode.pose[:, None, :2])
-    near = apart < SOCIAL_SPACE + episode.robot_radius + RADIUS
+    near = apart < SOCIAL_SPACE + episode.robot_radius + episode.person_radius
     return near.any(axis=0) & (near.argmax(axis=0) <= _first_ways(episode.people, episode.people_goals)[0])
 
 
@@ -55,7 +55,7 @@ def find_effects(episode: Any) -> dict[str, np.ndarray]:
     both = episode.people, episode.people_alone
     (step, way), (step_alone, way_alone) = (_first_ways(people, episode.people_goals) for people in both)
     met = _met(episode)
-    contacts, contacts_alone = (_contacts(people, met) for people in both)
+    contacts, contacts_alone = (_contacts(people, met, episode.person_radius) for people in both)
     there = np.minimum(step, step_alone) < len(episode.people) - 1
     return {
         "delay": np.where(met & there, (step - step_alone) * episode.period, np.nan),

@@ -16,7 +16,7 @@ import numpy as np
 from bson.episodes.record import Episode
 from macid import drawing, geometry, scene
 from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_colour, rgb255
-from macid.state import GOAL_RADIUS, HEIGHT, RADIUS
+from macid.state import GOAL_RADIUS, HEIGHT
 
 _PATH_RGB = (0.95, 0.45, 0.0)
 _TRAIL = 4.0  # length of people's trails [s]
@@ -49,7 +49,7 @@ class Film(drawing.Stage):
         step = range(len(episode.pose))[step]
         self._pose(episode, step)
         first = self.scene.ngeom
-        self.add_people(episode.people[step], lcf_colour(episode.lcf))
+        self.add_people(episode.people[step], lcf_colour(episode.lcf), episode.person_radius)
         self.add_goal(episode.goal)
         page = self.page()
         self._aim_front()
@@ -150,7 +150,7 @@ class Film(drawing.Stage):
         drawing.ring(canvas, start, 4.5 * unit, INK, 1.6 * unit)
         drawing.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
         for spot in at(episode.people[step, :, :2]):
-            drawing.ring(canvas, spot, RADIUS * metre, INK, unit)
+            drawing.ring(canvas, spot, episode.person_radius * metre, INK, unit)
         x, y, yaw = episode.pose[step]
         c, s = math.cos(yaw), -math.sin(yaw)
         shape = np.array([[1.0, 0.0], [-0.75, 0.68], [-0.4, 0.0], [-0.75, -0.68]]) * 11 * unit
@@ -227,7 +227,9 @@ def _hides(episode, step, eye):
     length = max(math.hypot(*way), 1e-6)
     along = np.clip((people - robot) @ way / length, 0.0, length)
     beside = geometry.norm(people - robot - along[:, None] * way / length)
-    return (beside < 3 * RADIUS) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
+    return (
+        (beside < 3 * episode.person_radius) & (along > 0.3) & (0.25 + along * (eye[2] - 0.25) / length < HEIGHT + 0.6)
+    )
 
 
 def map_window(episode: Episode) -> tuple[np.ndarray, float]:

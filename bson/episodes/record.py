@@ -9,6 +9,7 @@ import numpy as np
 
 from bson.episodes.effects import find_effects
 from bson.simulation.data import QUANTITIES
+from macid.state import RADIUS
 
 if TYPE_CHECKING:  # these modules load MuJoCo, which comparing results does without
     from bson.episodes.session import Session
@@ -40,6 +41,7 @@ class Episode(_Kept):
     - timed_out: the horizon came first
     - period: of control
     - robot_radius: of the circle around its footprint
+    - person_radius: everybody's
     - people_goals: (K, 2) where people go first
     - people_alone: (T + 1, K, 3) the same people without the robot, if that was played
 
@@ -52,6 +54,7 @@ class Episode(_Kept):
     robot_radius: float
     people_goals: np.ndarray | None = None
     people_alone: np.ndarray | None = None
+    person_radius: float = RADIUS
 
     @functools.cached_property
     def effects(self) -> dict[str, np.ndarray]:
@@ -99,6 +102,7 @@ class Recorder:
             period=world.config.control_period,
             robot_radius=world.config.robot.radius,
             people_goals=self._people_goals,
+            person_radius=world.config.person_radius,
         )
 
     def _shortest(self):

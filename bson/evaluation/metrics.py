@@ -18,7 +18,7 @@ from bson.episodes.record import Episode
 from macid.documents import shown
 from macid.files import UsageError
 from macid.registry import Kind
-from macid.state import RADIUS, STALLED
+from macid.state import STALLED
 
 GAMMA = 0.95  # of eq. 6
 SPEED_RANGE = (0.5, 1.5)  # mean speeds that score 0 and 1 [m/s]
@@ -77,7 +77,7 @@ def time_to_collision(episode: Episode) -> np.ndarray:
     yaw, ahead = episode.pose[:, 2], episode.velocity[:, :1]
     dp = episode.people[..., :2] - episode.pose[:, None, :2]
     dv = episode.people_velocity - (ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1))[:, None]
-    apart = (dp**2).sum(axis=-1) - (episode.robot_radius + RADIUS) ** 2
+    apart = (dp**2).sum(axis=-1) - (episode.robot_radius + episode.person_radius) ** 2
     closing, squared = -(dp * dv).sum(axis=-1), (dv**2).sum(axis=-1)
     root = closing**2 - squared * apart
     meets = (closing > 0) & (root >= 0)

@@ -149,6 +149,7 @@ def _episode(config, seed, rows):
         period=config.control_period,
         robot_radius=config.robot.radius,
         people_goals=drawn.people_goals.copy(),
+        person_radius=config.person_radius,
         fault="physics failed" if end["fault"] else "",
         **{name: rows[name].astype(float) for name in recorded},
     )

@@ -23,7 +23,11 @@ from macid.documents import convert, parse, read_bytes, shown, shown_path
 from macid.files import UsageError
 from macid.maps import load_map
 from macid.registry import Kind
+from macid.state import MAX_SPEED, RADIUS
 
+_DEFAULTS = {field.name: field.default for field in dataclasses.fields(TaskConfig)}
+# Fields that came after suites were frozen: where they are the defaults, they are no part of a digest.
+_LATER = ("person_radius", "preferred_speed", "person_max_speed", "companions")
 _SEED_STRIDE = 1_000_000  # between the episodes of --seed S and those of --seed S + 1
 _MOST_CELLS = 1000
 
@@ -31,6 +35,7 @@ _Share = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
 _Lcf = Annotated[float, Meta(ge=-10, le=10)]
 _Length = Annotated[float, Meta(gt=0, le=1e4, description="a number above 0 and of at most 10000 m")]
 _Period = Annotated[float, Meta(gt=0, le=10, description="a time above 0 and of at most 10 s")]
+_Speed = Annotated[float, Meta(gt=0, le=10, description="a speed above 0 and of at most 10 m/s")]
 _Weight = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Text = Annotated[str, Meta(min_length=1, max_length=1000)]
 _Name = Annotated[
@@ -55,6 +60,10 @@ class _Config(msgspec.Struct, forbid_unknown_fields=True):
     goal_distance: _Length | Annotated[list[_Length], Meta(min_length=2, max_length=2)] = 1.0
     reward: dict[_Text, _Weight] = {}
     robot: _Text | dict[_Text, str | float] = "jackal"
+    person_radius: _Length = RADIUS
+    preferred_speed: _Speed | Annotated[list[_Speed], Meta(min_length=2, max_length=2)] | _Text | None = None
+    person_max_speed: _Speed = MAX_SPEED
+    companions: _Share | None = None
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -96,6 +105,9 @@ class Cell:
         name = setting["robot"].pop("name")
         if name != "jackal":  # the suites were frozen when the Jackal was the only robot
             setting["robot"]["files"] = load_robot(name).digest
+        for name in _LATER:
+            if setting[name] == _DEFAULTS[name]:
+                del setting[name]
         return [self.grades, setting, drawn]
 
 

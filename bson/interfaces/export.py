@@ -16,7 +16,7 @@ from bson.task import TaskConfig
 from macid.export import PACKAGES, box_notes, people_notes, stand_at, write_scene
 from macid.files import versions, whole_folder, write_bytes, write_json
 from macid.geometry import yaw_quaternion
-from macid.state import HEIGHT, PHYSICS_STEP, RADIUS
+from macid.state import HEIGHT, PHYSICS_STEP
 
 _FRICTIONLESS = 1e-5  # the least sliding friction that MuJoCo accepts
 _ROBOT = "robot"  # the name that bson.robot.add_robot uses
@@ -79,7 +79,9 @@ def _write(folder, world, track, seed, command):
         "decisions_per_control": config.decisions,
         "sizes": {name: int(getattr(model, name)) for name in ("nq", "nv", "nu", "nsensordata", "nmocap")},
         "robot": _robot_notes(model, world),
-        "people": people_notes(world.people[0], world.destinations(0), world.lcf[0])
+        "people": people_notes(
+            world.people[0], world.destinations(0), world.lcf[0], config.person_radius, world.traits(0)
+        )
         | {
             "waypoints": world.people_goals[0].tolist(),
             "models": [list(config.model_shares)[number] for number in world.models[0]],
@@ -266,7 +268,7 @@ def _readme(content):
     return _README.format(
         title=f"A robot, {content['robot']['name']}, {where}, seed {content['seed']}",
         command=content["command"],
-        radius=RADIUS,
+        radius=content["people"]["radius"],
         height=HEIGHT,
         reading="".join(_READING[kind].format(key=key) for key, kind in kinds.items() if kind),
         notes="\n\n".join(notes),

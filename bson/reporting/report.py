@@ -75,7 +75,7 @@ def plot_trajectory(episode: Episode) -> Any:
     ways = [way for way in np.moveaxis(episode.people[..., :2], 1, 0)]
     axes.add_collection(LineCollection(ways, colors=colours, linewidths=0.8, alpha=0.45))
     for way, colour in zip(ways, colours, strict=True):
-        axes.add_patch(Circle(way[-1], 0.35, color=colour, linewidth=0))
+        axes.add_patch(Circle(way[-1], episode.person_radius, color=colour, linewidth=0))
     axes.plot(*episode.pose[:, :2].T, color=INK, linewidth=2.0)
     axes.plot(*episode.pose[0, :2], "o", color=INK, markersize=5)
     axes.plot(*episode.goal, "*", color="#e0a100", markersize=13, markeredgecolor=INK, markeredgewidth=0.6)

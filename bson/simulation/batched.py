@@ -16,12 +16,13 @@ from bson import robot, sensors
 from bson.simulation import contacts, pictures, rays
 from bson.simulation.engines.warp import Motion, WarpEngine
 from bson.simulation.faults import DIVERGED
+from bson.simulation.people import with_others
 from bson.simulation.pool import Drawn
 from bson.simulation.scene import build_spec
 from bson.task import TaskConfig, controller
 from macid import contacts as crowd_contacts
 from macid import geometry
-from macid.state import CONTACT_GAP, GOAL_RADIUS, CrowdState
+from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 COLLISIONS = ("collisions", *contacts.COUNTERS)
 
@@ -140,12 +141,15 @@ class BatchedWorld:
         body = robot.planar_pose(self._robot(motion.qpos))
         speed = motion.qvel[3 * k : 3 * k + 6]
         position = jnp.concatenate([pose[:, :2], body[None, :2]])
+        traits = with_others(state.drawn.traits, k + 1)
+        radius = RADIUS if traits.radius is None else traits.radius
         crowd = CrowdState(
             position,
             jnp.append(pose[:, 2], body[2]),
             jnp.concatenate([rate[:, :2], speed[None, :2]]),
             jnp.append(rate[:, 2], speed[5]),
-            crowd_contacts.touching(position, boxes),
+            crowd_contacts.touching(position, boxes, radius),
+            traits,
         )
         # The robot is one more disc. People assume that it wants to go on as it moves.
         goals = jnp.concatenate([self.headings(state), body[None, :2] + speed[None, :2]])
@@ -178,7 +182,8 @@ class BatchedWorld:
         `before` (3,)."""
         poses = robot.planar_pose(self._robot(qpos))
         way = jnp.diff(jnp.concatenate([before[None], poses]), axis=0)[:, :2]
-        person, towards = contacts.touches_people(poses, way, self._people(qpos), self.config.robot)
+        config = self.config
+        person, towards = contacts.touches_people(poses, way, self._people(qpos), config.robot, config.person_radius)
         everywhere = jnp.broadcast_to(boxes, (poses.shape[0], *boxes.shape))
         solid = geometry.box_box_gap(robot.footprint(poses, self.config.robot), everywhere) <= CONTACT_GAP
         wall, obstacle = solid[:, :4].any(axis=-1), solid[:, 4:].any(axis=-1)
@@ -194,7 +199,9 @@ class BatchedWorld:
         distance = jnp.sqrt((offset**2).sum())
         readings = dict(state.readings)
         data = self.engine.sensordata(motion, drawn.boxes) if self._forward else None
-        solids = rays.Solids(self._people(motion.qpos), drawn.boxes, self.config.map_size / 2 + 1.0)
+        radius = self.config.person_radius
+        solids = rays.Solids(self._people(motion.qpos), drawn.boxes, self.config.map_size / 2 + 1.0, radius)
+        gaps = contacts.person_gaps(pose, solids.people, self.config.robot, radius)
         keys = jax.random.wrap_key_data(state.key)
         seen = {}  # pictures that cameras share
         for number, (sensor, every, read) in enumerate(zip(self.sensors, self._every, self._readers, strict=True)):
@@ -210,7 +217,7 @@ class BatchedWorld:
             velocity=robot.planar_velocity(body, speed),
             distance=distance,
             arrived=distance <= GOAL_RADIUS,
-            nearest_person=contacts.person_gaps(pose, solids.people, self.config.robot).min(axis=-1, initial=jnp.inf),
+            nearest_person=gaps.min(axis=-1, initial=jnp.inf),
             readings=readings,
         )
         # A world whose physics failed keeps its last readings.

@@ -13,20 +13,23 @@ COUNTERS = ("collisions_person", "collisions_robot_on_person", "collisions_obsta
 APPROACH = 0.05  # below this speed towards a person, the robot was run into by the person [m/s]
 
 
-def person_gaps(pose: Array, people: Array, config: RobotConfig) -> Array:
-    """Surface gaps [m] from the robot's footprint at `pose` (..., 3) to people at `people` (..., K, 2): (..., K)."""
+def person_gaps(pose: Array, people: Array, config: RobotConfig, radius: float = RADIUS) -> Array:
+    """Surface gaps [m] from the robot's footprint at `pose` (..., 3) to people of `radius` [m] at `people` (..., K, 2):
+    (..., K)."""
     box = robot.footprint(pose, config)[..., None, None, :]
-    return geometry.point_box_distance(people, box)[..., 0] - RADIUS
+    return geometry.point_box_distance(people, box)[..., 0] - radius
 
 
-def touches_people(pose: Array, way: Array, people: Array, config: RobotConfig) -> tuple[Array, Array]:
+def touches_people(
+    pose: Array, way: Array, people: Array, config: RobotConfig, radius: float = RADIUS
+) -> tuple[Array, Array]:
     """Whether the robot touches a person, and whether it moves at more than APPROACH towards a person whom it touches:
     both (...).
 
-    pose (..., 3): at the end of a physics step; way (..., 2) [m]: the robot's in that step; people (..., K, 2) [m].
-    World frame.
+    pose (..., 3): at the end of a physics step; way (..., 2) [m]: the robot's in that step; people (..., K, 2) [m], of
+    `radius` [m]. World frame.
     """
-    touched = person_gaps(pose, people, config) <= CONTACT_GAP
+    touched = person_gaps(pose, people, config, radius) <= CONTACT_GAP
     offset = people - pose[..., None, :2]
     closing = (way[..., None, :] * offset).sum(axis=-1) > APPROACH * PHYSICS_STEP * geometry.norm(offset)
     return touched.any(axis=-1), (touched & closing).any(axis=-1)

@@ -18,7 +18,8 @@ import numpy as np
 from bson.task import Spawn, TaskConfig, controller, stops, ways_checker
 from macid import contacts, layout
 from macid.layout import Layout
-from macid.state import GOAL_RADIUS, CrowdState, parking_place
+from macid.state import GOAL_RADIUS, MAX_SPEED, PAPER_TRAITS, RADIUS, CrowdState, Traits, parking_place
+from macid.traits import shared_goals
 
 # Sizes to which a decision's people (with the robot) and boxes are filled up; the paper's counts are among them. No
 # size rounds up over a power of two, where the distance to a disc is rounded otherwise (macid.geometry.first_disc).
@@ -69,15 +70,45 @@ def next_goals(
         return np.reshape([pair[which] for pair, which in zip(ends, far, strict=True)], (-1, 2))
     region = map_layout.regions.get("people_goal")
     distance, joins = config.people_goal_distance, ways_checker(config, router)
-    return layout.sample_goals(rng, map_layout, places, distance, region=region, joins=joins)
+    radius = config.person_radius
+    return layout.sample_goals(rng, map_layout, places, distance, region=region, joins=joins, radius=radius)
+
+
+def beside_companions(
+    config: TaskConfig, map_layout: Layout, group: np.ndarray | None, places: np.ndarray, goals: np.ndarray
+) -> np.ndarray:
+    """`goals` (K, 2) [m] of people at `places` (K, 2), those of companions beside the goal of their `group`'s first
+    person; on a route it is the same goal."""
+    if group is None:
+        return goals
+    return shared_goals(map_layout, group, places, goals, config.person_radius, same=bool(map_layout.routes))
+
+
+def given_traits(traits: Traits) -> tuple[str, ...]:
+    """The names of the Traits that are not the paper's."""
+    return tuple(name for name, value in zip(Traits._fields, traits, strict=True) if value is not None)
+
+
+def with_others(traits: Traits, rows: int) -> Traits:
+    """The Traits (K,) of people, NumPy or JAX, filled up to `rows`: with the robot, which people take for a disc of
+    RADIUS, and with discs that are out of everybody's reach."""
+    others = Traits(np.full(rows, RADIUS), np.ones(rows), np.full(rows, MAX_SPEED), np.arange(rows))
+
+    def filled(value, other):
+        if value is None:
+            return None
+        xp = value.__array_namespace__()
+        return xp.concatenate([value, xp.asarray(other[value.shape[0] :], dtype=value.dtype)])
+
+    return Traits(*(filled(*pair) for pair in zip(traits, others, strict=True)))
 
 
 @functools.lru_cache(64)
-def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
-    """The decision of up to `rows` people among `boxes` boxes, by `controllers`, jitted: (rows, sum of _COLUMNS) and
-    (boxes, 5) to (rows * 3,). The robot is one more disc, after the people; the discs that fill the rows up come last,
-    out of everybody's reach. Worlds with any counts share a few decisions, as compiling one takes longer than all other
-    work of making a World.
+def decision(controllers: tuple, rows: int, boxes: int, given: tuple[str, ...] = ()) -> Callable:
+    """The decision of up to `rows` people among `boxes` boxes, by `controllers`, jitted: (rows, sum of _COLUMNS, and a
+    column for each of the Traits `given`) and (boxes, 5) to (rows * 3,). The robot is one more disc, after the people;
+    the discs that fill the rows up come last, out of everybody's reach. Worlds with any counts share a few decisions,
+    as compiling one takes longer than all other work of making a World.
 
     Filling up changes nothing in learned people's decisions, bit for bit. With rules that add up forces, and with ORCA,
     it may change the last bit, as the compiler adds in another order. So all worlds with one count have the same number
@@ -85,8 +116,14 @@ def decision(controllers: tuple, rows: int, boxes: int) -> Callable:
     """
 
     def decide(packed, boxes):
-        position, yaw, velocity, rate, goals, lcf, models = jnp.split(packed, np.cumsum(_COLUMNS)[:-1], axis=-1)
-        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], contacts.touching(position, boxes))
+        columns = jnp.split(packed, np.cumsum([*_COLUMNS, *(1 for _ in given)])[:-1], axis=-1)
+        position, yaw, velocity, rate, goals, lcf, models, *own = columns
+        traits = Traits(**{name: column[:, 0] for name, column in zip(given, own, strict=True)})
+        if traits.group is not None:
+            traits = traits._replace(group=traits.group.astype(jnp.int32))
+        radius = RADIUS if traits.radius is None else traits.radius
+        touching = contacts.touching(position, boxes, radius)
+        state = CrowdState(position, yaw[:, 0], velocity, rate[:, 0], touching, traits)
         commands = [controller(state, boxes, goals, lcf[:, 0]) for controller in controllers]
         command = commands[0]
         for number, other in enumerate(commands[1:], start=1):
@@ -109,6 +146,7 @@ class People:
         self._rngs: list[Any] = [None] * nworld
         self._routes: list[list] = [[] for _ in range(nworld)]  # for each person, the waypoints after `heading`
         self._unplanned: list[Any] = [None] * nworld  # people's starts and goals, until their ways are needed
+        self._traits: list[Traits] = [PAPER_TRAITS] * nworld
         rows, box_rows = rows_for(number), _box_rows(boxes)
         away = parking_place(np.arange(max(rows, box_rows)))
         self._rows = np.zeros((rows, sum(_COLUMNS)), np.float32)  # of a decision, while nobody is there
@@ -126,6 +164,11 @@ class People:
         self.layouts[index], self._routers[index], self._rngs[index] = drawn.layout, drawn.router, rng
         self._boxes[index, : len(drawn.layout.boxes)] = drawn.layout.boxes
         self._unplanned[index] = drawn.people[:, :2].copy(), drawn.people_goals
+        self._traits[index] = drawn.traits
+
+    def traits(self, index: int) -> Traits:
+        """The Traits (K,) of a world's people."""
+        return self._traits[index]
 
     def begun(self, index: int) -> bool:
         """Whether world `index` has had an episode."""
@@ -172,7 +215,12 @@ class People:
         packed[:, :k, 6:8], packed[:, :k, 8], packed[:, :k, 9] = self.heading[ids], lcf, models
         packed[:, k, :3], packed[:, k, 3:6] = robot_pose, robot_rate
         packed[:, k, 6:8] = packed[:, k, :2] + packed[:, k, 3:5]  # people assume that it wants to go on as it moves
-        decide = decision(self._controllers, packed.shape[1], self._boxes.shape[1])
+        given = given_traits(self._traits[ids[0]]) if len(ids) else ()
+        if given:
+            own = [with_others(self._traits[index], packed.shape[1]) for index in ids]
+            columns = [np.stack([getattr(each, name) for name in given], axis=-1) for each in own]
+            packed = np.concatenate([packed, np.asarray(columns, np.float32)], axis=-1)
+        decide = decision(self._controllers, packed.shape[1], self._boxes.shape[1], given)
         commands = [decide(packed[row], self._boxes[index]) for row, index in enumerate(ids)]
         return [np.asarray(command)[: 3 * k] for command in commands]
 
@@ -191,20 +239,26 @@ class People:
             else:
                 finished.setdefault(row, []).append(person)
         for row, who in finished.items():
-            self._new_goals(ids[row], np.array(who), places[row, who], draws)
+            self._new_goals(ids[row], np.array(who), places[row], draws)
 
     def _new_goals(self, index, who, places, draws):
-        """New goals, and ways to them, for the people `who` of a world, from `places` where they stand.
+        """New goals, and ways to them, for the people `who` of a world, all of which are at `places` (K, 2). Companions
+        get theirs as soon as one of them has arrived.
 
         A person for whom no goal is found (crowded into a corner of a small map) stays, and asks again at the next
         decision.
         """
-        map_layout, router = self.layouts[index], self._routers[index]
+        map_layout, router, group = self.layouts[index], self._routers[index], self._traits[index].group
         try:
             if not map_layout.routes:
                 draws(self._rngs[index])
-            goals = next_goals(self._config, map_layout, router, who, places, self._rngs[index])
-            ways = find_ways(map_layout, router, who, places, goals)
+            asking = who if group is None else np.unique(group[who])
+            goals = next_goals(self._config, map_layout, router, asking, places[asking], self._rngs[index])
+            if group is not None:
+                every = np.zeros_like(places)
+                every[asking], who = goals, np.flatnonzero(np.isin(group, asking))
+                goals = beside_companions(self._config, map_layout, group, places, every)[who]
+            ways = find_ways(map_layout, router, who, places[who], goals)
         except layout.NoFreeSpace:
             return
         for person, way in zip(who, ways, strict=True):
@@ -217,7 +271,7 @@ class People:
 
     def save(self) -> dict:
         """The whole state on which the next calls depend, for `restore`, except the Generators'."""
-        lists = {name: list(getattr(self, name)) for name in ("layouts", "_routers", "_rngs", "_unplanned")}
+        lists = {name: list(getattr(self, name)) for name in ("layouts", "_routers", "_rngs", "_unplanned", "_traits")}
         arrays = {name: getattr(self, name).copy() for name in ("heading", "_boxes")}
         return {**lists, **arrays, "_routes": [list(ways) for ways in self._routes]}
 

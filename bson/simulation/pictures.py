@@ -26,10 +26,10 @@ _SKY = np.array([[0.75, 0.83, 0.92], [0.96, 0.97, 0.98]], np.float32)  # colours
 _SKY_SLOPE = 1.16  # at the horizon, as MuJoCo's gradient has it
 
 
-def normals_of_person(point: Array, centre: Array) -> Array:
-    """Normals (..., 3) of the cylinders at `centre` (..., 2) where `point` (..., 3) lies on them."""
+def normals_of_person(point: Array, centre: Array, radius: float = RADIUS) -> Array:
+    """Normals (..., 3) of the cylinders of `radius` [m] at `centre` (..., 2) where `point` (..., 3) lies on them."""
     xp = point.__array_namespace__()
-    outwards = (point[..., :2] - centre) / RADIUS
+    outwards = (point[..., :2] - centre) / radius
     side = xp.concatenate([outwards, xp.zeros_like(outwards[..., :1])], axis=-1)
     return xp.where(point[..., 2:] >= HEIGHT - 1e-4, xp.asarray([0.0, 0.0, 1.0], dtype=point.dtype), side)
 
@@ -86,7 +86,7 @@ def look(origin: Array, direction: Array, ahead: Array, solids: Any, pixel: floa
     distance = xp.minimum(to_box, to_floor)
     person = who = None
     if solids.people.shape[0]:
-        to_person = rays.to_people(origin, direction, solids.people)
+        to_person = rays.to_people(origin, direction, solids.people, solids.radius)
         who, to_person = xp.argmin(to_person, axis=-1), xp.min(to_person, axis=-1)
         distance, person = xp.minimum(distance, to_person), to_person < distance
     reach = xp.where(xp.isfinite(distance), distance, xp.zeros_like(distance))
@@ -99,7 +99,8 @@ def look(origin: Array, direction: Array, ahead: Array, solids: Any, pixel: floa
     spread = reach**2 * pixel / xp.maximum(xp.abs(origin[2]), 1e-3)
     colour = xp.where(on_box[..., None], walls, floor_colour(point, spread))
     if person is not None:
-        normal = xp.where(person[..., None], normals_of_person(point, solids.people[who]), normal)
+        upright = normals_of_person(point, solids.people[who], solids.radius)
+        normal = xp.where(person[..., None], upright, normal)
         colour = xp.where(person[..., None], _rgb(PERSON_RGBA), colour)
 
     def facing(light):  # (...,)

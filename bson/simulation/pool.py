@@ -20,10 +20,11 @@ import numpy as np
 
 from bson import robot
 from bson.simulation.data import MAP_RESOLUTION
-from bson.simulation.people import find_ways, next_goals
+from bson.simulation.people import beside_companions, find_ways, next_goals
 from bson.task import TaskConfig, spawn
 from macid import layout
 from macid.routing import occupancy_grid
+from macid.state import PAPER_TRAITS, Traits
 
 GOALS = 8  # of each person, where ways are straight
 ROUTED_GOALS = 3  # where ways lead around obstacles, which the host takes far longer to find
@@ -45,6 +46,7 @@ class Drawn(NamedTuple):
     ways: Any  #: (K, W, 2) waypoints [m], goal after goal
     turns: Any  #: (K,) int32: number of waypoints
     map: Any  #: (cells, cells) uint8, see bson.episodes.tracks; (0, 0) unless asked for
+    traits: Traits = PAPER_TRAITS  #: of people, (K,) each
 
 
 def _itineraries(config, drawn, rng):
@@ -56,7 +58,9 @@ def _itineraries(config, drawn, rng):
     for number in range(goals if count else 0):
         if number:
             try:
-                places, ends = ends, next_goals(config, drawn.layout, drawn.router, range(count), ends, rng)
+                goals_then = next_goals(config, drawn.layout, drawn.router, range(count), ends, rng)
+                goals_then = beside_companions(config, drawn.layout, drawn.traits.group, ends, goals_then)
+                places, ends = ends, goals_then
             except layout.NoFreeSpace:  # then the person goes back from there
                 break
         for chain, way in zip(chains, find_ways(drawn.layout, drawn.router, range(count), places, ends), strict=True):
@@ -87,12 +91,15 @@ def draw(config: TaskConfig, seed: int, with_map: bool = False) -> Drawn:
         ways,
         turns,
         grid.astype(np.uint8),
+        drawn.traits,
     )
 
 
 def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False) -> Drawn:
     """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
-    return Drawn(*map(np.stack, zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)))
+    *fields, traits = zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)
+    each = zip(*traits, strict=True)
+    return Drawn(*map(np.stack, fields), Traits(*(None if one[0] is None else np.stack(one) for one in each)))
 
 
 class _Worker:

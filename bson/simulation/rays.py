@@ -22,6 +22,7 @@ class Solids(NamedTuple):
     people: Any  #: (K, 2) [m]
     boxes: Any  #: (B, 5); the first four are the outer walls
     half: float  #: half the side of the floor [m]
+    radius: float = RADIUS  #: of people [m]
 
 
 def box_heights(number: int) -> np.ndarray:
@@ -43,8 +44,9 @@ def _met(enter, leave):
     return xp.where((enter <= leave) & (enter > 0), enter, xp.full_like(enter, NOTHING))
 
 
-def to_people(origin: Array, direction: Array, people: Array) -> Array:
-    """Distances (..., K) [m] from `origin` (3,) along `direction` (..., 3) to the people at `people` (K, 2)."""
+def to_people(origin: Array, direction: Array, people: Array, radius: float = RADIUS) -> Array:
+    """Distances (..., K) [m] from `origin` (3,) along `direction` (..., 3) to people of `radius` [m] at `people` (K,
+    2)."""
     xp = direction.__array_namespace__()
     x, y, z = direction[..., 0, None], direction[..., 1, None], direction[..., 2, None]
     level = xp.maximum(x**2 + y**2, xp.full_like(x, _TINY))  # squared length, along the floor, of a unit step
@@ -52,7 +54,7 @@ def to_people(origin: Array, direction: Array, people: Array) -> Array:
     closest = -(x * offset[:, 0] + y * offset[:, 1]) / level
     # Computed from the offset at the closest point: this loses far fewer digits than b^2 - a c.
     aside = (offset[:, 0] + closest * x) ** 2 + (offset[:, 1] + closest * y) ** 2
-    inside = RADIUS**2 - aside
+    inside = radius**2 - aside
     reach = xp.sqrt(xp.maximum(inside, xp.zeros_like(inside)) / level)
     low, high = slab(origin[2], z, 0.0, HEIGHT)
     distance = _met(xp.maximum(closest - reach, low), xp.minimum(closest + reach, high))
@@ -93,5 +95,5 @@ def first(origin: Array, direction: Array, solids: Any) -> Array:
         to_floor(origin, direction, solids.half), xp.min(to_boxes(origin, direction, solids.boxes), axis=-1)
     )
     if solids.people.shape[0]:
-        found = xp.minimum(found, xp.min(to_people(origin, direction, solids.people), axis=-1))
+        found = xp.minimum(found, xp.min(to_people(origin, direction, solids.people, solids.radius), axis=-1))
     return found

@@ -31,7 +31,7 @@ def build_spec(config: TaskConfig, sensors: Sequence[Sensor], hidden: bool = Fal
     """The MjSpec of a world: pedestrians, boxes (movable: each episode has its own map), then the robot and sensors.
     hidden: whether no sensor sees the robot (bson.robot.hide_robot)."""
     spec = scene.base_spec(config.map_size)
-    scene.add_people(spec, config.people)
+    scene.add_people(spec, config.people, scene.PersonConfig(radius=config.person_radius))
     scene.add_boxes(spec, _boxes(config), movable=True)
     robot.add_robot(spec, robot.describe(config.robot), hidden=hidden)
     for sensor in sensors:
@@ -45,7 +45,7 @@ def structure(config: TaskConfig) -> tuple:
     """The part of `config` that determines a world's model: worlds of one structure change their setting without a new
     model (World.configure)."""
     sizes, digest = _boxes(config)[:, 2:4], robot.describe(config.robot).digest
-    return config.people, sizes.shape, sizes.tobytes(), config.map_size, config.robot, digest
+    return config.people, config.person_radius, sizes.shape, sizes.tobytes(), config.map_size, config.robot, digest
 
 
 def build_model(config: TaskConfig, sensors: Sequence[Sensor]) -> mujoco.MjModel:

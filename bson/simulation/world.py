@@ -29,7 +29,7 @@ from bson.task import Spawn, TaskConfig, spawn
 from macid import forks, geometry
 from macid.documents import shown
 from macid.routing import occupancy_grid
-from macid.state import GOAL_RADIUS
+from macid.state import GOAL_RADIUS, Traits
 
 MAX_WORLDS = 65_536
 _FAR = np.inf
@@ -228,6 +228,10 @@ class World:
         """The ends (K, 2) [m] of the ways of a world's people."""
         return self._crowd.destinations(index)
 
+    def traits(self, index: int) -> Traits:
+        """The Traits (K,) of a world's people, None where they are the paper's."""
+        return self._crowd.traits(index)
+
     def occupancy(self, index: int) -> np.ndarray:
         """The map of a world: whether something solid reaches each cell's centre, (rows, columns) bool; made once an
         episode. Cells have a side of MAP_RESOLUTION [m]; row 0 is the lowest, column 0 the leftmost."""
@@ -378,7 +382,7 @@ class World:
         near = np.flatnonzero(self.nearest_person[ids] <= _CLOSING_SPEED * self.config.control_period)
         if len(near):  # the other robots can't have met anybody since the last look
             person[near], towards[near] = contacts.touches_people(
-                poses[near], way[near], self._places(qpos[near]), config
+                poses[near], way[near], self._places(qpos[near]), config, self.config.person_radius
             )
         solid = contacts.touches_boxes(poses, self.boxes[ids], config)
         wall, obstacle = solid[..., :4].any(axis=-1), solid[..., 4:].any(axis=-1)
@@ -400,6 +404,7 @@ class World:
         offset = self.goal[ids] - self.pose[ids, :2]
         self.distance[ids] = np.hypot(offset[:, 0], offset[:, 1])
         self.arrived[ids] = self.distance[ids] <= GOAL_RADIUS
-        gaps = contacts.person_gaps(self.pose[ids], self._places(qpos), self.robot.config)
+        places, radius = self._places(qpos), self.config.person_radius
+        gaps = contacts.person_gaps(self.pose[ids], places, self.robot.config, radius)
         self.nearest_person[ids] = gaps.min(axis=-1, initial=_FAR)
         self._senses.read(self, ids, self._fail, self._draws)

@@ -12,7 +12,7 @@ import numpy as np
 from macid import contacts
 from macid.files import UsageError
 from macid.geometry import Array
-from macid.state import CrowdState
+from macid.state import RADIUS, CrowdState, Traits
 
 T = TypeVar("T")
 DIVERGED = 100.0  # only failed physics gives such a speed [m/s, rad/s]
@@ -42,8 +42,13 @@ class Engine(Protocol):
         """The crowds of a state, leading axes (nworld, K). Jittable."""
         ...
 
-    def place(self, state: Any, who: Array, position: Array) -> Any:
-        """The state with the people `who` (nworld, K) bool put at rest at `position` (nworld, K, 2) [m]. Jittable."""
+    def place(
+        self, state: Any, who: Array, position: Array, velocity: Array | None = None, yaw: Array | None = None
+    ) -> Any:
+        """The state with the people `who` (nworld, K) bool put at `position` (nworld, K, 2) [m]. Jittable.
+
+        velocity: (nworld, K, 2) [m/s], world frame, with which they come (default: at rest). yaw: (nworld, K) [rad]
+        (default: as it is)."""
         ...
 
     def faults(self, state: Any) -> list[str]:
@@ -78,7 +83,10 @@ class FlatState(NamedTuple):
 
 
 class CrowdEngine:
-    """The base of engines: the model, sizes, and reading."""
+    """The base of engines: the model, sizes, and reading.
+
+    radius: everybody's [m], as the model has it; None where it is the paper's.
+    """
 
     shards = stacks = False
     options = NoOptions  # the dataclass of the options after the engine's name
@@ -86,6 +94,8 @@ class CrowdEngine:
     def __init__(self, model: mujoco.MjModel, number: int, boxes: Array, nworld: int):
         self.model, self.number, self.nworld = model, number, nworld
         self.boxes = jnp.asarray(boxes, jnp.float32)
+        radius = float(model.geom("person0/proxy").size[0]) if number else RADIUS
+        self.radius = None if radius == RADIUS else radius
 
     def _pack(self, position, yaw):
         pose = jnp.concatenate([jnp.asarray(position), jnp.asarray(yaw)[..., None]], axis=-1)
@@ -98,7 +108,7 @@ class CrowdEngine:
 
     def read(self, state: Any) -> CrowdState:
         """As Engine.read."""
-        return read_crowd(state.qpos, state.qvel, self.number, self.boxes)
+        return read_crowd(state.qpos, state.qvel, self.number, self.boxes, self.radius)
 
     def faults(self, state: Any) -> list[str]:
         """As Engine.faults.
@@ -122,17 +132,25 @@ class CrowdEngine:
         """MuJoCo's warnings in each world, in its words."""
         return [""] * self.nworld
 
-    def place(self, state: Any, who: Array, position: Array) -> Any:
+    def place(
+        self, state: Any, who: Array, position: Array, velocity: Array | None = None, yaw: Array | None = None
+    ) -> Any:
         """As Engine.place."""
         shape = (self.nworld, self.number, 3)
         pose = state.qpos.reshape(shape)
-        moved = jnp.concatenate([jnp.broadcast_to(position, (*shape[:2], 2)), pose[..., 2:]], axis=-1)
+        facing = pose[..., 2:] if yaw is None else jnp.broadcast_to(yaw, shape[:2])[..., None]
+        moved = jnp.concatenate([jnp.broadcast_to(position, (*shape[:2], 2)), facing], axis=-1)
         qpos = jnp.where(who[..., None], moved, pose).reshape(state.qpos.shape)
         still = jnp.where(jnp.repeat(who, 3, axis=-1), 0.0, 1.0)
+        qvel = state.qvel * still
+        if velocity is not None:
+            coming = jnp.where(who[..., None], jnp.broadcast_to(velocity, (*shape[:2], 2)), 0.0)
+            coming = jnp.concatenate([coming, jnp.zeros((*shape[:2], 1))], axis=-1)
+            qvel = (qvel + coming.reshape(qvel.shape)).astype(jnp.float32)
         return self._replace(
             state,
             qpos=qpos.astype(jnp.float32),
-            qvel=state.qvel * still,
+            qvel=qvel,
             qacc_warmstart=state.qacc_warmstart * still,
         )
 
@@ -140,12 +158,15 @@ class CrowdEngine:
         return state._replace(**fields)
 
 
-def read_crowd(qpos: Array, qvel: Array, number: int, boxes: Array) -> CrowdState:
-    """The CrowdState of the first `number` people of `qpos` (..., nq), `qvel` (..., nv) among `boxes` (..., B, 5)."""
+def read_crowd(qpos: Array, qvel: Array, number: int, boxes: Array, radius: float | None = None) -> CrowdState:
+    """The CrowdState of the first `number` people of `qpos` (..., nq), `qvel` (..., nv) among `boxes` (..., B, 5).
+    radius: everybody's [m]; None: the paper's."""
     pose = qpos[..., : 3 * number].reshape(*qpos.shape[:-1], number, 3)
     rate = qvel[..., : 3 * number].reshape(*qvel.shape[:-1], number, 3)
     position = pose[..., :2]
-    return CrowdState(position, pose[..., 2], rate[..., :2], rate[..., 2], contacts.touching(position, boxes))
+    touching = contacts.touching(position, boxes, RADIUS if radius is None else radius)
+    traits = Traits() if radius is None else Traits(radius=jnp.full(position.shape[:-1], radius, jnp.float32))
+    return CrowdState(position, pose[..., 2], rate[..., :2], rate[..., 2], touching, traits)
 
 
 def repeat(step: Callable[[T], T], carried: T, number: int) -> T:

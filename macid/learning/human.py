@@ -82,7 +82,7 @@ class SceneWorlds:
         return self._with(crowd, walk)
 
     def _with(self, crowd, walk):
-        return crowd._replace(traits=Traits(self._radii(walk), walk.preferred, None, walk.group))
+        return crowd._replace(traits=Traits(self._radii(walk), walk.preferred, jnp.full(walk.lcf.shape, 2.0), walk.group))
 
     def _radii(self, walk):
         return jnp.full(walk.lcf.shape, self.radius, jnp.float32)
@@ -118,7 +118,7 @@ class SceneWorlds:
                 return state, after, touched + after.contact, pairs
 
             touched = jnp.zeros(crowd.contact.shape, jnp.int32)
-            state, after, touched, _ = repeat(substep, (walk_.physics, crowd._replace(traits=Traits()), touched, 0), self.substeps)
+            state, after, touched, _ = repeat(substep, (walk_.physics, crowd._replace(traits=Traits(radius=crowd.traits.radius)), touched, 0), self.substeps)
             after = self._with(after, walk_)
             before = geometry.norm(goals - crowd.position)
             progress = before - geometry.norm(scenes.goal(gate, after.position) - after.position)

@@ -6,10 +6,11 @@ The paper solves its linear programs line by line. Here all lines are solved at 
 velocity is either the one asked for or the best point of one of the lines: no loop, and no order that matters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from macid.geometry import Array, box_corners, norm, rotate
 from macid.pedestrians.facing import STANDING, face_velocity
@@ -23,6 +24,11 @@ CHUNK = 32  # people for whom `least_violation` is solved at a time
 
 def _dot(a, b):
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
+def _behind(value, axes):
+    """`value`, a number, or an array (...) with `axes` more axes behind its own."""
+    return value if np.isscalar(value) else jnp.expand_dims(value, tuple(range(-axes, 0)))
 
 
 def _select(array, index):
@@ -163,7 +169,7 @@ class ORCA:
     period: float = 0.02  #: between two decisions [s]
     preferred_speed: float = 1.34  #: as social force's [m/s]
     max_speed: float = MAX_SPEED  #: [m/s]
-    radius: float = RADIUS  #: of everybody [m]
+    radius: float = RADIUS  #: of everybody whose traits leave it open [m]
     margin: float = 0.02  #: added to the radius, since a body lags behind its command [m]
     neighbor_distance: float = 10.0  #: [m]
     max_neighbors: int = 10
@@ -180,13 +186,22 @@ class ORCA:
         state (..., K), boxes (B, 5) or (..., B, 5), goals (..., K, 2) [m].
         """
         position, velocity = jnp.asarray(state.position, jnp.float32), jnp.asarray(state.velocity, jnp.float32)
-        preferred = self.preferred_velocity(position, jnp.asarray(goals, jnp.float32))
-        box_normal, box_offset = self.obstacle_half_planes(position, velocity, jnp.asarray(boxes, jnp.float32))
-        normal, offset = self.neighbor_half_planes(position, velocity)
+        speed, most = state.speeds(self.preferred_speed, self.max_speed)
+        radius = state.traits.radius
+        preferred = self.preferred_velocity(position, jnp.asarray(goals, jnp.float32), speed)
+        boxes = jnp.asarray(boxes, jnp.float32)
+        box_normal, box_offset = self.obstacle_half_planes(position, velocity, boxes, radius, most)
+        normal, offset = self.neighbor_half_planes(position, velocity, radius)
         hard, lines = box_offset.shape[-1], box_offset.shape[-1] + offset.shape[-1]
         normal = jnp.concatenate([box_normal, normal], axis=-2).reshape(preferred.size // 2, lines, 2)
         offset = jnp.concatenate([box_offset, offset], axis=-1).reshape(preferred.size // 2, lines)
-        chosen = self.chosen_velocity(normal, offset, hard, preferred.reshape(-1, 2)).reshape(preferred.shape)
+        if np.isscalar(most):
+            chosen = self.chosen_velocity(normal, offset, hard, preferred.reshape(-1, 2))
+        else:  # in shares of everybody's top speed, as the programs have one for all
+            top = jnp.reshape(most, (-1, 1))
+            own = replace(self, max_speed=1.0)
+            chosen = top * own.chosen_velocity(normal, offset / top, hard, preferred.reshape(-1, 2) / top)
+        chosen = chosen.reshape(preferred.shape)
         return face_velocity(chosen, jnp.asarray(state.yaw, jnp.float32), self.period)
 
     def chosen_velocity(self, normal: Array, offset: Array, hard: int, preferred: Array) -> Array:
@@ -211,15 +226,21 @@ class ORCA:
             blocked &= norm(chosen) < self.blocked * speed
         return chosen
 
-    def preferred_velocity(self, position: Array, goals: Array) -> Array:
-        """(..., K, 2) [m/s], world frame."""
+    def preferred_velocity(self, position: Array, goals: Array, preferred_speed: Array | float | None = None) -> Array:
+        """(..., K, 2) [m/s], world frame. preferred_speed: everybody's (..., K) [m/s], instead of its own."""
         to_goal = goals - position
-        speed = jnp.minimum(self.preferred_speed, norm(to_goal) / self.period)
+        speed = self.preferred_speed if preferred_speed is None else preferred_speed
+        speed = jnp.minimum(speed, norm(to_goal) / self.period)
         straight = speed[..., None] * unit(to_goal)
         return rotate(straight, jnp.full_like(speed, -self.veer))
 
-    def neighbor_half_planes(self, position: Array, velocity: Array) -> tuple[Array, Array]:
-        """Half-planes (..., K, N, 2), (..., K, N) against the nearest neighbours, eq. 5: n.v >= n.(v_now + u/2)."""
+    def neighbor_half_planes(
+        self, position: Array, velocity: Array, radius: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Half-planes (..., K, N, 2), (..., K, N) against the nearest neighbours, eq. 5: n.v >= n.(v_now + u/2).
+
+        radius: everybody's (..., K) [m], instead of its own for all.
+        """
         people = position.shape[-2]
         count = min(self.max_neighbors, people - 1)
         gap = norm(position[..., None, :, :] - position[..., :, None, :])
@@ -229,8 +250,11 @@ class ORCA:
         ahead = jnp.take_along_axis(position[..., None, :, :], index[..., None], axis=-2) - position[..., :, None, :]
         closing = velocity[..., :, None, :] - jnp.take_along_axis(velocity[..., None, :, :], index[..., None], axis=-2)
 
-        radius = 2 * (self.radius + self.margin)
-        overlapping = distance < radius
+        both = 2 * (self.radius + self.margin)
+        if radius is not None:
+            its = jnp.take_along_axis(jnp.broadcast_to(radius[..., None, :], gap.shape), index, axis=-1)
+            both = radius[..., None] + its + 2 * self.margin
+        overlapping = distance < both
         horizon = jnp.where(overlapping, self.period, self.horizon)
         from_cutoff = closing - ahead / horizon[..., None]  # w of the paper
         cutoff_length = norm(from_cutoff)
@@ -238,19 +262,29 @@ class ORCA:
         apart = lower_index * jnp.asarray([1.0, 0.0])
         cutoff_normal = jnp.where(cutoff_length[..., None] < TINY, apart, unit(from_cutoff))
         along = _dot(from_cutoff, ahead)
-        at_cutoff = overlapping | ((along < 0) & (along**2 > radius**2 * cutoff_length**2))
+        at_cutoff = overlapping | ((along < 0) & (along**2 > both**2 * cutoff_length**2))
 
-        leg = jnp.sqrt(jnp.maximum(distance**2 - radius**2, 0.0))[..., None]
+        leg = jnp.sqrt(jnp.maximum(distance**2 - both**2, 0.0))[..., None]
         side = jnp.where(_dot(left_of(ahead), from_cutoff) > 0, 1.0, -1.0)[..., None]
-        leg_normal = (side * leg * left_of(ahead) - radius * ahead) / jnp.maximum(distance, TINY)[..., None] ** 2
+        leg_normal = side * leg * left_of(ahead) - _behind(both, 1) * ahead
+        leg_normal = leg_normal / jnp.maximum(distance, TINY)[..., None] ** 2
 
         normal = jnp.where(at_cutoff[..., None], cutoff_normal, leg_normal)
-        change = jnp.where(at_cutoff, radius / horizon - cutoff_length, -_dot(leg_normal, closing))  # u.n
+        change = jnp.where(at_cutoff, both / horizon - cutoff_length, -_dot(leg_normal, closing))  # u.n
         offset = _dot(normal, velocity[..., :, None, :]) + change / 2
         return normal, jnp.where(distance < self.neighbor_distance, offset, NO_LIMIT)
 
-    def obstacle_half_planes(self, position: Array, velocity: Array, boxes: Array) -> tuple[Array, Array]:
+    def obstacle_half_planes(
+        self,
+        position: Array,
+        velocity: Array,
+        boxes: Array,
+        radius: Array | None = None,
+        max_speed: Array | float | None = None,
+    ) -> tuple[Array, Array]:
         """Half-planes (..., K, M, 2), (..., K, M) against the nearest boxes.
+
+        radius, max_speed: everybody's (..., K) [m], [m/s], instead of its own for all.
 
         With C the box widened by the radius and seen from the person, the velocities that hit it within the horizon T
         are the convex set of the C / t, t <= T. Its half-planes outside are n.v >= h(n) / T for every n with h(n) <= 0,
@@ -264,7 +298,8 @@ class ORCA:
             shape = (*position.shape[:-1], 0)
             return jnp.zeros((*shape, 2)), jnp.zeros(shape)
         boxes = boxes.reshape((1,) * (position.ndim - boxes.ndim) + boxes.shape)
-        radius = self.radius + self.margin
+        radius = (self.radius if radius is None else radius) + self.margin
+        max_speed = self.max_speed if max_speed is None else max_speed
         distance, away = away_from_boxes(position, boxes[..., None, :, :])
         negative, index = jax.lax.top_k(-distance, count)
         distance, away = -negative, jnp.take_along_axis(away, index[..., None], axis=-2)
@@ -280,16 +315,16 @@ class ORCA:
         side = jnp.stack([axis, left_of(axis), -axis, -left_of(axis)], axis=-2)
         arc = unit(v - corner / self.obstacle_horizon)
         squared = _dot(corner, corner)
-        leg = jnp.sqrt(jnp.maximum(squared - radius**2, 0.0))[..., None] * left_of(corner)
-        back, squared = -radius * corner, jnp.maximum(squared, radius**2)[..., None]
+        leg = jnp.sqrt(jnp.maximum(squared - _behind(radius**2, 2), 0.0))[..., None] * left_of(corner)
+        back, squared = -_behind(radius, 3) * corner, jnp.maximum(squared, _behind(radius**2, 2))[..., None]
         tangent = jnp.concatenate([(back + leg) / squared, (back - leg) / squared], axis=-2)
         normal = jnp.concatenate([away[..., None, :], side, arc, tangent], axis=-2)  # (..., K, M, 17, 2)
-        reach = jnp.max(_dot(normal[..., :, None, :], corner[..., None, :, :]), axis=-1) + radius  # h(n)
+        reach = jnp.max(_dot(normal[..., :, None, :], corner[..., None, :, :]), axis=-1) + _behind(radius, 2)  # h(n)
 
         is_normal = jnp.abs(_dot(normal, normal) - 1.0) < 1e-3
         outside = _dot(normal, v) - reach / self.obstacle_horizon
         outside = jnp.where(is_normal & (reach <= 1e-4), outside, -jnp.inf)
         best = jnp.argmax(outside, axis=-1)  # the first, away from the closest point, where there is none
         offset = jnp.minimum(jnp.take_along_axis(reach, best[..., None], axis=-1)[..., 0], 0.0) / self.obstacle_horizon
-        in_reach = distance < self.obstacle_horizon * self.max_speed + radius
+        in_reach = distance < _behind(self.obstacle_horizon * max_speed + radius, 1)
         return _select(normal, best), jnp.where(in_reach, offset, NO_LIMIT)

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import jax.numpy as jnp
+import numpy as np
 
 from macid.geometry import Array, in_box_frame, norm, rotate
 from macid.pedestrians.facing import face_velocity
@@ -74,8 +75,8 @@ class SocialForce:
     view around e, 0.5 elsewhere: eqs. 1 to 9 with the published constants.
 
     As published, people are points: r leads from centre to centre, d from a centre to an obstacle's surface. Bodies of
-    0.35 m that are driven so push each other; with `body_radius` = 0.35 m, r counts from surface to surface, as in many
-    simulators, and they hardly touch.
+    0.35 m that are driven so push each other; with `body_radius` = 0.35 m, or people's own radii where they have them,
+    r counts from surface to surface, as in many simulators, and they hardly touch.
 
     Another person's next step is |v_b| dt long, with |v_b| its speed, and lies in the direction e_b in which it wants
     to go, as published. A robot among the people whose goal nobody is to know gets `position + velocity` for a goal.
@@ -107,7 +108,7 @@ class SocialForce:
     unseen_weight: float = 0.5  #: c
     step_by_progress: bool = False  #: another's step follows from its speed towards its goal, not from its speed
     veer: float = 0.01  #: [rad]
-    body_radius: float = 0.0  #: taken off each person's side of distances between people [m]
+    body_radius: float = 0.0  #: taken off each person's side of distances between people [m]; above 0: its own, if any
     response: float = RESPONSE  #: time constant with which the body follows a commanded velocity [s]
 
     @property
@@ -126,7 +127,9 @@ class SocialForce:
         """
         velocity = jnp.asarray(state.velocity, jnp.float32)
         command = velocity + self.acceleration(state, boxes, goals) * self.lead
-        top_speed = min(self.top_speed_ratio * self.desired_speed, self.max_speed)
+        desired, most = state.speeds(self.desired_speed, self.max_speed)
+        top_speed = self.top_speed_ratio * desired
+        top_speed = min(top_speed, most) if np.isscalar(top_speed) else jnp.minimum(top_speed, most)
         command = command * jnp.minimum(1.0, top_speed / jnp.maximum(norm(command), TINY))[..., None]
         return face_velocity(command, jnp.asarray(state.yaw, jnp.float32), self.period)
 
@@ -135,13 +138,18 @@ class SocialForce:
         position, velocity = jnp.asarray(state.position, jnp.float32), jnp.asarray(state.velocity, jnp.float32)
         straight = unit(jnp.asarray(goals, jnp.float32) - position)
         direction = rotate(straight, jnp.full(straight.shape[:-1], -self.veer))
-        drive = (self.desired_speed * direction - velocity) / self.relaxation_time
-        people = self._from_people(position, velocity, direction)
+        desired, _ = state.speeds(self.desired_speed, self.max_speed)
+        desired = desired if np.isscalar(desired) else jnp.asarray(desired)[..., None]
+        drive = (desired * direction - velocity) / self.relaxation_time
+        people = self._from_people(position, velocity, direction, state.traits.radius)
         return drive + people + self._from_boxes(position, jnp.asarray(boxes, jnp.float32))
 
-    def _from_people(self, position, velocity, direction):
+    def _from_people(self, position, velocity, direction, radius):
+        apart = 2 * self.body_radius
+        if self.body_radius and radius is not None:
+            apart = radius[..., :, None] + radius[..., None, :]
         r = position[..., :, None, :] - position[..., None, :, :]  # (..., K, K, 2) from the second to the first
-        r = unit(r) * jnp.maximum(norm(r) - 2 * self.body_radius, _CLOSEST)[..., None]
+        r = unit(r) * jnp.maximum(norm(r) - apart, _CLOSEST)[..., None]
         progress = jnp.maximum(jnp.sum(velocity * direction, axis=-1), 0.0)
         speed = progress if self.step_by_progress else norm(velocity)
         step = speed[..., None] * self.step_time * direction

@@ -90,7 +90,7 @@ SHAPE = "def agent(observation):\n    return [0.0, 0.0, 0.0]\n"
     ("arguments", "told"),
     [
         (["evaluate", "--agent", "vhf"], "stop, random, goal, stop-and-go, vfh"),
-        (["evaluate", "--suite", "papers"], "paper, paper-slow, scenarios, smoke, standard"),
+        (["evaluate", "--suite", "papers"], "paper, paper-slow, scenarios, smoke, standard, street"),
         (["evaluate", "--episodes", "0"], "1 to 100"),
         (["evaluate", "--seed", "-1"], "at least 0"),
         (["evaluate", "--videos", "-1"], "at least 0"),

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
+from bson.episodes.effects import find_effects
 from bson.episodes.record import Episode
 from bson.evaluation.metrics import GROUPS, METRICS, PARTS, measure, spread_by_score, summarise, time_to_collision
 
@@ -301,3 +302,24 @@ def test_spread_goes_evenly_from_the_worst_score_to_the_best():
     assert [e.collisions for e in spread_by_score(episodes, 3)] == [9, 3, 0]
     assert [e.collisions for e in spread_by_score(episodes, 99)] == [9, 5, 3, 1, 0]
     assert spread_by_score(episodes[:1], 2) == episodes[:1]
+
+
+def test_metrics_are_of_the_episodes_radius():
+    head_on = {
+        "nearest": (1.0,),
+        "pose": np.zeros((1, 3)),
+        "velocity": np.array([[1.0, 0.0]]),
+        "people": np.array([[[5.0, 0.0, 0.0]]]),
+        "people_velocity": np.array([[[-1.0, 0.0]]]),
+    }
+    for radius in (0.2, 0.35):
+        met = episode(**head_on, person_radius=radius)
+        assert time_to_collision(met)[0] == pytest.approx((5.0 - 0.31 - radius) / 2.0)
+    walk = np.zeros((3, 2, 3))
+    walk[:, 0, 0] = walk[:, 1, 0] = [0.0, 1.0, 2.0]
+    apart, close = walk.copy(), walk.copy()
+    apart[:, 1, 1], close[:, 1, 1] = 3.0, 0.5
+    paired = {"people": close, "people_alone": apart, "people_goals": np.array([[9.0, 0.0], [9.0, 3.0]])}
+    for radius, touched in ((0.2, 0.0), (0.35, 0.2)):
+        found = find_effects(episode(nearest=(1.0,) * 3, pose=np.zeros((3, 3)), person_radius=radius, **paired))
+        np.testing.assert_allclose(found["added_contact"], touched)

@@ -13,6 +13,7 @@ DIGESTS = {
     "scenarios": "7f1177ebb47f",
     "smoke": "d93d60ae24f8",
     "standard": "86bb56a5ca8e",
+    "street": "2362bb40aa1c",
 }
 
 
@@ -52,13 +53,26 @@ def test_standard_has_every_combination_of_three_criteria():
     assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
 
 
-def test_every_scenario_has_room_for_all_its_episodes():
-    scenarios = load_suite("scenarios")
-    assert len(scenarios.cells) == 7
-    for cell in scenarios.cells:
-        for seed in scenarios.seeds:
+@pytest.mark.parametrize(("name", "cells"), [("scenarios", 7), ("street", 4)])
+def test_every_cell_has_room_for_all_its_episodes(name, cells):
+    suite = load_suite(name)
+    assert len(suite.cells) == cells
+    for cell in suite.cells:
+        for seed in suite.seeds:
             drawn = spawn(cell.config, np.random.default_rng(seed))
             assert len(drawn.people) == cell.config.people > 0
+
+
+def test_streets_have_people_as_they_are():
+    street = load_suite("street")
+    assert len(street.cells) * len(street.seeds) == 100
+    for cell in street.cells:
+        drawn = [spawn(cell.config, np.random.default_rng(seed)) for seed in street.seeds[:8]]
+        speeds = np.concatenate([each.traits.preferred_speed for each in drawn])
+        assert speeds.mean() == pytest.approx(1.34, abs=0.08) and speeds.std() == pytest.approx(0.26, abs=0.06)
+        together = [np.bincount(each.traits.group)[each.traits.group] > 1 for each in drawn]
+        assert 0.44 <= np.mean(together) <= 0.76
+        assert all((each.traits.radius == np.float32(0.2)).all() for each in drawn)
 
 
 def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):

@@ -1,6 +1,6 @@
 """An agent of one's own: it drives to the goal, and the slower, the nearer what its LIDAR sees ahead.
 
-    bson evaluate --agent own_agent.py --suite smoke
+bson evaluate --agent own_agent.py --suite smoke
 """
 
 import numpy as np

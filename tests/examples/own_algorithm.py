@@ -1,6 +1,6 @@
 """A learning algorithm of one's own: A2C from stable-baselines3.
 
-    bson train --algo own_algorithm.py:A2c --steps 1e6 --out runs
+bson train --algo own_algorithm.py:A2c --steps 1e6 --out runs
 """
 
 import dataclasses

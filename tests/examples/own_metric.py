@@ -1,6 +1,6 @@
 """A metric of one's own: how long the robot stands still while somebody is near.
 
-    bson evaluate --agent vfh --suite smoke --metric own_metric.py:waiting
+bson evaluate --agent vfh --suite smoke --metric own_metric.py:waiting
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """A pedestrian model of one's own: people walk straight to their goals and keep to the right of whoever is near.
 
-    bson evaluate --agent vfh --suite smoke --set pedestrian_model=own_pedestrian.py:KeepRight
-    macid evaluate --pedestrian own_pedestrian.py:KeepRight --levels 1
+bson evaluate --agent vfh --suite smoke --set pedestrian_model=own_pedestrian.py:KeepRight
+macid evaluate --pedestrian own_pedestrian.py:KeepRight --levels 1
 """
 
 import jax.numpy as jnp

@@ -1,6 +1,6 @@
 """A sensor of one's own: where the nearest person is, as a leg detector would tell, and an agent that uses it.
 
-    bson evaluate --agent own_sensor.py --sensor own_sensor.py:SENSORS --suite smoke
+bson evaluate --agent own_sensor.py --sensor own_sensor.py:SENSORS --suite smoke
 """
 
 import dataclasses

@@ -72,7 +72,7 @@ def test_the_command_writes_the_episode_that_evaluate_scores(tmp_path, place):
         layout, seed = load_map(place[1]), 4
     number = content["people"]["number"]
     assert number == (3 if place[0] == "--map" else layout.pedestrians)
-    starts, goals, _ = Crowd(layout, CrowdConfig(number=number)).draw(np.random.default_rng(seed), 1, (-2.0, 2.0))
+    starts, goals, *_ = Crowd(layout, CrowdConfig(number=number)).draw(np.random.default_rng(seed), 1, (-2.0, 2.0))
     np.testing.assert_allclose(np.array(content["people"]["start"])[:, :2], starts[0], atol=1e-5)
     np.testing.assert_allclose(content["people"]["goals"], goals[0], atol=1e-5)
     np.testing.assert_array_equal(content["boxes"]["rows"], layout.boxes)

@@ -73,7 +73,7 @@ def test_a_miss_reads_the_range_and_no_relative_velocity(gap, reading):
 def test_a_person_beyond_the_range_is_a_miss():
     state = lone()
     other = lone((7.36, 0.0), velocity=(0.0, 1.0))
-    both = CrowdState(*(np.concatenate(pair) for pair in zip(state, other, strict=True)))
+    both = jax.tree.map(lambda *pair: np.concatenate(pair), state, other)
     nothing = np.array([[900.0, 900.0, 1.0, 1.0, 0.0]])
     np.testing.assert_allclose(split(observe(both, nothing, np.zeros((2, 2))))["rays"][0, 0], [7.0, 0.0, 0.0])
     both.position[1, 0] = 7.34
@@ -125,12 +125,8 @@ def test_the_parked_and_far_boxes_change_nothing():
     state, boxes, goals, _ = crowd_scene(3)
     parked = parking_place(np.arange(20, 26))
     zeros = np.zeros(6)
-    more = CrowdState(
-        *(
-            np.concatenate(pair)
-            for pair in zip(state, (parked, zeros, np.ones((6, 2)), zeros, zeros.astype(bool)), strict=True)
-        )
-    )
+    others = CrowdState(parked, zeros, np.ones((6, 2)), zeros, zeros.astype(bool))
+    more = jax.tree.map(lambda *pair: np.concatenate(pair), state, others)
     far = np.tile([-900.0, 0.0, 0.5, 0.5, 0.0], (5, 1))
     observation = observe(more, np.concatenate([boxes, far]), np.concatenate([goals, parked]))
     np.testing.assert_array_equal(observation[:20], observe(state, boxes, goals))
@@ -146,7 +142,7 @@ def test_jax_answers_as_numpy_does():
 
 def test_worlds_with_boxes_of_their_own_equal_those_worlds_alone():
     worlds = [crowd_scene(seed)[:3] for seed in (5, 6)]
-    state = CrowdState(*(np.stack(fields) for fields in zip(worlds[0][0], worlds[1][0], strict=True)))
+    state = jax.tree.map(lambda *fields: np.stack(fields), worlds[0][0], worlds[1][0])
     boxes, goals = (np.stack([world[i] for world in worlds]) for i in (1, 2))
     together = observe(state, boxes, goals)
     for i, world in enumerate(worlds):
