@@ -240,6 +240,14 @@ def _bench(args):
     return 0
 
 
+def _human_data(args):
+    from macid.human.command import data_files
+
+    words = ["macid", "human", "data", "DIR", *(["--figures", "OUT"] if args.figures else [])]
+    data_files(args.data, args.figures, print, " ".join(words))
+    return 0
+
+
 def parser() -> Parser:
     """The command's parser."""
     root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
@@ -345,6 +353,15 @@ def parser() -> Parser:
     bench.add_argument("--preset", default="fast", choices=_PRESETS)
     bench.add_argument("--out", type=name, default=None, help="JSON file")
     bench.set_defaults(run=_bench)
+
+    human = commands.add_parser("human", help="real people's walks, and models measured against them")
+    human = human.add_subparsers(dest="what", required=True, metavar="what")
+    data = human.add_parser(
+        "data", help="read files of people's walks: what they are, and whether they are sound", formatter_class=HelpFormatter
+    )
+    data.add_argument("data", type=name, metavar="DIR", help="a folder with files (.txt, .csv, .dat), or one file")
+    data.add_argument("--figures", type=name, default=None, metavar="OUT", help="folder for people's figures: people.json")
+    data.set_defaults(run=_human_data)
     return root
 
 

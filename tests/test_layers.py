@@ -19,6 +19,7 @@ MACID = (
     "learning export",
     "evaluate",
     "watch",
+    "human",
     "parallel_env",
     "bench benchmark command",
     "cli",
