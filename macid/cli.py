@@ -316,7 +316,9 @@ def parser() -> Parser:
     export.set_defaults(run=_export)
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
-    train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri, macid-touch or macid-human")
+    train.add_argument(
+        "--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri, -touch or -human"
+    )
     train.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
@@ -357,10 +359,14 @@ def parser() -> Parser:
     human = commands.add_parser("human", help="real people's walks, and models measured against them")
     human = human.add_subparsers(dest="what", required=True, metavar="what")
     data = human.add_parser(
-        "data", help="read files of people's walks: what they are, and whether they are sound", formatter_class=HelpFormatter
+        "data",
+        help="read files of people's walks: what they are, and whether they are sound",
+        formatter_class=HelpFormatter,
     )
     data.add_argument("data", type=name, metavar="DIR", help="a folder with files (.txt, .csv, .dat), or one file")
-    data.add_argument("--figures", type=name, default=None, metavar="OUT", help="folder for people's figures: people.json")
+    data.add_argument(
+        "--figures", type=name, default=None, metavar="OUT", help="folder for people's figures: people.json"
+    )
     data.set_defaults(run=_human_data)
     return root
 

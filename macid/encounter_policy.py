@@ -7,14 +7,15 @@ RELAXATION, as legs do. So a network that says nothing walks straight to its goa
 
 import dataclasses
 import math
+import os
 from typing import Any
 
 import numpy as np
 
 from macid import encounters, networks
 from macid.geometry import Array
-from macid.networks import Layers
-from macid.policy import MOST_READING, Policy, as_numbers, check_layers, check_lcf, check_shapes, is_traced, within
+from macid.networks import Layers, check_layers, write_network
+from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
 from macid.state import MAX_LCF
 
 RELAXATION = 0.3  # [s]
@@ -43,12 +44,17 @@ def next_velocity(action: Array, velocity: Array, preferred_speed: Array, period
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class EncounterPolicy(Policy):
+class EncounterPolicy:
     """A trained policy: `policy(observation, lcf) -> velocity`.
 
-    person, layers: the layers of the encoder of a person, and of the head (`networks.encounter_network`). Raises
-    ValueError as Policy does, and where they don't fit together.
+    layers, person: the layers of the head and of the encoder of a person (`networks.encounter_network`), float32 NumPy.
+    recipe: how it was made and how it scores. Raises ValueError where the layers don't fit together, or hold a weight
+    that is not finite or beyond MOST_WEIGHT.
     """
+
+    layers: tuple
+    recipe: dict
+    person: tuple
 
     def __post_init__(self):
         check_layers(self.layers)
@@ -94,6 +100,10 @@ class EncounterPolicy(Policy):
         """`action` without checking either."""
         lcf = observed.__array_namespace__().broadcast_to(lcf, observed.shape[:-1])
         return networks.encounter_network(self.network, networks.encounter_inputs(observed, lcf))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
+        write_network(path, self.layers, self.recipe, self.person)
 
     def to_torch(self) -> Any:
         """The same policy as a torch.nn.Module: forward(observation (..., encounters.SIZE), lcf (...)) -> (..., 2).

@@ -11,7 +11,7 @@ so that it turns with the world, and the order of the people has no meaning.
 | preferred_speed | at which one walks where nothing is in the way | m/s |
 | radius | of one's own body | m |
 | collision | 1 when touching anything, else 0 | - |
-| walls | 16 rays, of each the distance from the body's surface to a wall or an obstacle; the first towards the goal | m |
+| walls | 16 rays, of each the distance from the body's surface to a wall or obstacle; the first to the goal | m |
 | people | 16 people, of each the seven numbers of PERSON | |
 
 PERSON: 1 for a person, 0 for nobody; the position of its centre and its velocity, both less one's own [m, m/s]; the

@@ -10,8 +10,7 @@ import io
 import math
 import os
 import pathlib
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -19,21 +18,19 @@ import numpy as np
 
 from macid import arrays, assets, observation
 from macid.documents import convert, parse, read_bytes
-from macid.files import UsageError, write_bytes, write_json
+from macid.encounter_policy import EncounterPolicy
+from macid.files import UsageError
 from macid.geometry import Array
-from macid.networks import Layers, mlp
+from macid.networks import ENCODER, check_layers, mlp, write_network
+from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
 from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
 
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
 FEATURES = observation.SIZE + 1  # the goal's two columns become three
-MOST_READING = 1e6  # any number in an observation but a ray's distance [m, m/s, rad/s]
-MOST_WEIGHT = 1e6  # in a network, so that its outputs are finite
-MOST_LAYERS = 64
 MOST_POLICY_BYTES = 1 << 26  # a policy's weights, packed and unpacked [bytes]
 MOST_RECIPE_BYTES = 1 << 24  # its recipe [bytes]
 _GOAL_SCALE = math.log1p(24.0)
-_ENCODER = "person_"  # begins the names of the encoder's arrays in a policy's file
 _RAYS, _DISTANCES = slice(5, observation.SIZE), slice(5, observation.SIZE, 3)  # columns
 
 
@@ -90,7 +87,6 @@ class Policy:
 
     layers: tuple
     recipe: dict
-    person: tuple = ()  # the layers of the encoder of a person, in an EncounterPolicy
 
     def __post_init__(self):
         check_layers(self.layers)
@@ -124,7 +120,7 @@ class Policy:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `path`.npz (weights) and `path`.json (recipe), each all or nothing."""
-        write_network(path, self.layers, self.recipe, self.person)
+        write_network(path, self.layers, self.recipe)
 
     def to_torch(self) -> Any:
         """The same policy as a torch.nn.Module: forward(observation (..., 41), lcf (...)) -> (..., 2). Needs torch.
@@ -170,7 +166,7 @@ class Policy:
                 observed, lcf = taken(observed, "An observation", weight), taken(lcf, "An LCF", weight)
                 # Tracing takes a shape for values. (torch documents is_tracing as public, but its types don't.)
                 if not torch.jit.is_tracing():  # pyright: ignore[reportPrivateImportUsage]
-                    check_shapes(observed.shape, lcf.shape)
+                    check_shapes(observed.shape, lcf.shape, observation.SIZE, "macid.observation")
                 if (values := seen(observed)) is not None:
                     _check_observed(values)
                 if (values := seen(lcf)) is not None:
@@ -216,7 +212,7 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     range of a number outside it.
     """
     observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
-    check_shapes(observed.shape, lcf.shape)
+    check_shapes(observed.shape, lcf.shape, observation.SIZE, "macid.observation")
     xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
     if is_traced(lcf):
         lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
@@ -237,48 +233,6 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     miss = xp.asarray([observation.RAY_RANGE, 0.0, 0.0], dtype=np.float32)
     rays = xp.where(known[..., None], rays, miss).reshape(*observed.shape[:-1], 3 * observation.RAYS)
     return xp.concatenate([observed[..., :5], rays], axis=-1), xp.asarray(lcf)
-
-
-def within(xp: Any, x: Array, least: Array, most: Array) -> Array:
-    """`x` in [least, most], NaN as 0."""
-    return xp.clip(xp.where(xp.isnan(x), xp.zeros_like(x), x), least, most)
-
-
-def is_traced(x: Array) -> bool:
-    """Whether `x` stands for values that JAX doesn't have yet, as under jax.jit."""
-    jax = sys.modules.get("jax")
-    return jax is not None and isinstance(x, jax.core.Tracer)
-
-
-def as_numbers(values: Any, what: str) -> Array:
-    """`values` as a float32 array, NumPy's or JAX's. Raises ValueError where they are no numbers."""
-    if not hasattr(values, "__array_namespace__"):
-        try:
-            values = np.asarray(values)
-        except (ValueError, TypeError, RuntimeError) as error:  # rows of different lengths; a tensor on a GPU
-            raise ValueError(f"{what} is no array of numbers: {' '.join(str(error).split())[:200]}") from None
-    xp = values.__array_namespace__()
-    if not xp.isdtype(values.dtype, ("bool", "integral", "real floating")):
-        raise ValueError(f"{what} has real numbers, not {'None' if values.dtype == object else values.dtype}.")
-    with np.errstate(over="ignore"):  # to infinity
-        return xp.asarray(values, dtype=np.float32)
-
-
-def check_shapes(
-    observed: tuple[int, ...], lcf: tuple[int, ...], size: int = observation.SIZE, module: str = "macid.observation"
-) -> None:
-    """Raises ValueError unless the shapes are those of observations (..., size) and of LCFs that fit them. module: what
-    describes the observations."""
-    if not observed or observed[-1] != size:
-        given = observed[-1] if observed else "one number"
-        raise ValueError(f"An observation has {size} columns ({module}), not {given}.")
-    try:
-        fits = np.broadcast_shapes(lcf, observed[:-1]) == tuple(observed[:-1])
-    except ValueError:
-        fits = False
-    if not fits:
-        wanted = f"LCFs {tuple(observed[:-1])} or one for all"
-        raise ValueError(f"Observations {tuple(observed)} take {wanted}, not {tuple(lcf)}.")
 
 
 def _check_observed(observed):
@@ -305,19 +259,12 @@ def _check_observed(observed):
     raise ValueError(f"An observation can't be understood: {where}, is {value:g}; {wanted} is wanted.")
 
 
-def check_lcf(lcf: np.ndarray) -> None:
-    """Raises ValueError unless every number of the NumPy array is an LCF."""
-    good = np.abs(lcf) <= MAX_LCF
-    if not good.all():
-        raise ValueError(f"An LCF is a number from -{MAX_LCF:g} to {MAX_LCF:g}, not {lcf[~good].flat[0]:g}.")
-
-
 def policy_names() -> list[str]:
     """Names of the shipped policies: `macid-0` is method macid's seed 0; `macid` alone means its first seed."""
     return assets.names("policies", ".npz")
 
 
-def load_policy(name: str) -> Policy:
+def load_policy(name: str) -> Policy | EncounterPolicy:
     """The policy `name`: a shipped one ("macid", "macid-3"), or a .npz file. Raises ValueError, naming the valid
     ones."""
     path = pathlib.Path(name)
@@ -353,8 +300,6 @@ def _made(path, weights, recipe):
         array.flags.writeable = False
     if not person:
         return Policy(layers, document)
-    from macid.encounter_policy import EncounterPolicy  # it is a Policy
-
     try:
         return EncounterPolicy(layers, document, person)
     except ValueError as error:
@@ -380,45 +325,6 @@ class _Recipe(msgspec.Struct):
             raise ValueError("lcf_mean and lcf_std come together")
 
 
-def check_layers(layers: Layers) -> None:
-    """Raises ValueError unless `layers`, [(weight (in, out), bias (out,)), ...], follow on each other, finite."""
-    if not 1 <= len(layers) <= MOST_LAYERS:
-        raise ValueError(f"a network has 1 to {MOST_LAYERS} layers, not {len(layers)}")
-    width = None
-    for number, layer in enumerate(layers):
-        weight, bias = (np.asarray(array) for array in layer)
-        if weight.ndim != 2 or bias.shape != weight.shape[1:] or not weight.size:
-            raise ValueError(
-                f"layer {number} has a weight {weight.shape} and a bias {bias.shape}, not (in, out) and (out,)"
-            )
-        if width not in (None, weight.shape[0]):
-            raise ValueError(f"layer {number} takes {weight.shape[0]} numbers, but the one before gives {width}")
-        for name, array in (("weight", weight), ("bias", bias)):
-            if array.dtype.kind != "f":
-                raise ValueError(f"{name}{number} has numbers of type {array.dtype}, not floats")
-            wrong = ~(np.abs(array, dtype=np.float64) <= MOST_WEIGHT)
-            if wrong.any():
-                told = f"{array[wrong].flat[0]:g}; weights are finite, from -{MOST_WEIGHT:g} to {MOST_WEIGHT:g}"
-                raise ValueError(f"{name}{number} holds {told}")
-        width = weight.shape[1]
-
-
-def write_network(
-    path: str | os.PathLike[str], layers: Layers, recipe: dict[str, Any], person: Layers = ()
-) -> None:
-    """Writes `path`.npz (weights and biases of `layers`, and of an encoder of people, `person`) and `path`.json
-    (`recipe`), each all or nothing."""
-    path = pathlib.Path(path)
-    found = {}
-    for prefix, each in (("", layers), (_ENCODER, person)):
-        for index, (weight, bias) in enumerate(each):
-            found[f"{prefix}weight{index}"], found[f"{prefix}bias{index}"] = np.asarray(weight), np.asarray(bias)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **found)
-    write_json(path.with_suffix(".json"), recipe)  # first: weights are never without their recipe
-    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
-
-
 def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
     """What `write_network` wrote to `path` (.npz), without an encoder: (layers, recipe). Raises UsageError (a
     ValueError) for what is none."""
@@ -439,8 +345,8 @@ def _parsed(path, weights, recipe):
     """(layers, the encoder's layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
     try:
         found, documents = arrays.unpack(io.BytesIO(weights), MOST_POLICY_BYTES)
-        encoder = sum(name.startswith(_ENCODER) for name in found) // 2
-        counts = {"": max(1, len(found) // 2 - encoder), _ENCODER: encoder}
+        encoder = sum(name.startswith(ENCODER) for name in found) // 2
+        counts = {"": max(1, len(found) // 2 - encoder), ENCODER: encoder}
         wanted = {
             prefix: [(f"{prefix}weight{number}", f"{prefix}bias{number}") for number in range(count)]
             for prefix, count in counts.items()
@@ -450,7 +356,7 @@ def _parsed(path, weights, recipe):
             odd = sorted({*found, *documents} - names) or sorted(names - found.keys())
             told = f"{odd[0][:60]!r} is odd or missing"
             raise ValueError(f"it must hold weight0, bias0, weight1 and so on, and nothing else: {told}")
-        layers, person = (tuple((found[w], found[b]) for w, b in wanted[prefix]) for prefix in ("", _ENCODER))
+        layers, person = (tuple((found[w], found[b]) for w, b in wanted[prefix]) for prefix in ("", ENCODER))
         check_layers(layers)
         if person:
             check_layers(person)

@@ -1,8 +1,8 @@
 """Training in the scenes of `macid.learning.scenes` by analytic policy gradients, for people who walk like people.
 
-Each person's cost follows from its own state, given everybody else's course: the gradient of that cost goes back through
-the person's own decisions alone, and so each learns its best answer to the others, as in independent PPO (eq. 3), with a
-gradient in place of an estimate from samples (Freeman et al. 2021, Brax; Xu et al. 2022, SHAC). The states are those of
+Each person's cost follows from its own state, given everybody else's course: the gradient of that cost goes back
+through the person's own decisions alone, and so each learns its best answer to the others, as in independent PPO (eq.
+3), with a gradient in place of an estimate from samples (Freeman et al. 2021, Brax; Xu et al. 2022, SHAC). The states are those of
 the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient), which holds
 but for contacts.
 
@@ -13,7 +13,7 @@ the same, so that the LCF says how much the others' costs count beside one's own
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,12 @@ from macid.engines import make_engine
 from macid.engines.base import repeat
 from macid.geometry import Array
 from macid.learning import scenes
+from macid.learning.methods import get_method
 from macid.learning.ppo import init_mlp
+from macid.learning.state import SEEDS, TrainState
 from macid.pedestrians.learned import goal_command
 from macid.policy import HIDDEN
 from macid.state import TOP_SPEED, CrowdState, Traits, physics_steps
-
-if TYPE_CHECKING:
-    from macid.learning.train import TrainConfig
 
 _CROWDS = 48  # beginnings of each scene from which episodes are drawn
 _HOLD = jax.lax.stop_gradient
@@ -107,7 +106,9 @@ def collision_energy(position: Array, velocity: Array, reach: Array, config: Sce
     return jnp.where(along < 0, jax.nn.sigmoid((reach - closest) / config.blur) * energy, 0.0)
 
 
-def costs(before: CrowdState, after: CrowdState, ahead: Array, boxes: Array, period: float, config: SceneConfig) -> dict:
+def costs(
+    before: CrowdState, after: CrowdState, ahead: Array, boxes: Array, period: float, config: SceneConfig
+) -> dict:
     """{name: what a decision cost each person (..., K), per second}; with gradients of each person's own state alone.
 
     before, after: CrowdStates at the decision and at the end of its `period` [s]; ahead (..., K, 2): directions to the
@@ -146,11 +147,10 @@ def _near(gap):
 
 
 class SceneWorlds:
-    """`nworld` worlds of one scene."""
+    """The worlds of one scene, as many as `config`, a macid.learning.train.TrainConfig, has."""
 
-    def __init__(self, which: scenes.Scene, config: "TrainConfig", rng: np.random.Generator):
+    def __init__(self, which: scenes.Scene, config: Any, rng: np.random.Generator):
         learned = config.scenes
-        assert learned is not None
         self.scene, self.nworld, self.period, self.config = which, config.nworld, config.period, learned
         person = dataclasses.replace(scene.PERSON, radius=learned.radius)
         model = scene.crowd_spec(which.layout, which.number, person).compile()
@@ -248,13 +248,12 @@ class SceneWorlds:
 
 class SceneTrainer:
     """Trains policies in scenes, as macid.learning.train.Trainer does on a level: `iterate_seeds` is a pure jitted
-    function of stacked TrainStates."""
+    function of stacked TrainStates. config: a macid.learning.train.TrainConfig. Raises ValueError for several devices.
+    """
 
-    def __init__(self, config: "TrainConfig", devices: Sequence[Any] | None = None):
+    def __init__(self, config: Any, devices: Sequence[Any] | None = None):
         if devices:
             raise ValueError(f"Training in scenes runs on one device, not on {len(devices)}.")
-        from macid.learning.methods import get_method
-
         self.config, self.method = config, get_method(config.method)
         rng = np.random.default_rng(0x5CE7E)
         self.worlds = [SceneWorlds(each, config, rng) for each in scenes.SCENES.values()]
@@ -262,7 +261,6 @@ class SceneTrainer:
         self.samples = config.rollout * self.people  # agent-steps in an iteration
         self.iterations = -(-config.agent_steps // self.samples)
         learned = config.scenes
-        assert learned is not None
         share = learned.final_learning_rate / learned.learning_rate
         rate = optax.cosine_decay_schedule(learned.learning_rate, self.iterations, share)
         self.optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
@@ -270,10 +268,8 @@ class SceneTrainer:
         self.iterate = jax.jit(self._iterate)
         self.iterate_seeds = jax.jit(self._iterate_seeds)
 
-    def init(self, seed: int | None = None) -> Any:
+    def init(self, seed: int | None = None) -> TrainState:
         """The TrainState of `seed` (default: the config's) before the first iteration."""
-        from macid.learning.train import TrainState
-
         seed = self.config.seed if seed is None else seed
         key, key_person, key_head, key_walk = jax.random.split(jax.random.key(seed), 4)
         encoded = networks.ENCODED
@@ -285,13 +281,13 @@ class SceneTrainer:
         figures = dict.fromkeys(("cost", "pace", "touch", "meet", "change"), jnp.zeros(()))
         return TrainState(network, self.optimizer.init(network), None, walk, figures, key, jnp.zeros((), jnp.int32))
 
-    def init_seeds(self, seeds: Iterable[int]) -> Any:
+    def init_seeds(self, seeds: Iterable[int]) -> TrainState:
         """The TrainStates of `seeds`, stacked."""
         states = [self.init(seed) for seed in seeds]
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
         return stacked._replace(iteration=states[0].iteration)
 
-    def seed_state(self, states: Any, index: int) -> Any:
+    def seed_state(self, states: TrainState, index: int) -> TrainState:
         """The TrainState at `index` of stacked TrainStates."""
         one = jax.tree.map(lambda leaf: leaf[index], states._replace(iteration=None))
         return one._replace(iteration=states.iteration)
@@ -301,7 +297,7 @@ class SceneTrainer:
         for each in self.worlds:
             each.engine.check()
 
-    def policy(self, state: Any, recipe: dict[str, Any]) -> EncounterPolicy:
+    def policy(self, state: TrainState, recipe: dict[str, Any]) -> EncounterPolicy:
         """The EncounterPolicy of a TrainState."""
         plain = jax.tree.map(np.asarray, state.parameters)
         head, person = (tuple((w, b) for w, b in plain[name]) for name in ("head", "person"))
@@ -312,8 +308,6 @@ class SceneTrainer:
         return tuple(each.begin(k, self.method.lcf) for each, k in zip(self.worlds, keys, strict=True))
 
     def _iterate_seeds(self, states):
-        from macid.learning.train import SEEDS
-
         return jax.vmap(self._iterate, (SEEDS,), (SEEDS, 0))(states)
 
     def _iterate(self, state):

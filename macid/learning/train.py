@@ -39,6 +39,7 @@ from macid.learning.curves import (
 from macid.learning.jobs import Group, folder_of, train_groups
 from macid.learning.methods import get_method
 from macid.learning.scene_trainer import SceneConfig, SceneTrainer
+from macid.learning.state import SEEDS, TrainState
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
 from macid.policy import ENCOUNTERS, INPUTS, Policy, inputs, load_policy, mlp, to_velocity
@@ -114,7 +115,9 @@ class TrainConfig:
     reward: RewardWeights = WEIGHTS
     ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
     inputs: str = "features"  # the networks' inputs, see macid.policy.INPUTS
-    scenes: SceneConfig | None = None  # learning in scenes (macid.learning.scene_trainer), without level, reward and ppo
+    scenes: SceneConfig | None = (
+        None  # learning in scenes (macid.learning.scene_trainer), without level, reward and ppo
+    )
 
     @property
     def name(self) -> str:
@@ -175,22 +178,6 @@ class Walk(NamedTuple):
     lcf: Any
     reached: Any  #: goals reached in this episode so far
     contact: Any  #: steps of 0.02 s in contact, in this episode so far
-
-
-class TrainState(NamedTuple):
-    """The whole state that a training carries from one iteration to the next."""
-
-    parameters: Any
-    optimizer: Any
-    meta: Any  #: CoPO's distribution of LCFs; None in the other methods
-    walk: Walk
-    figures: Any  #: {name: scalar} of the last whole episode, or of the first one so far
-    key: Any
-    iteration: Any
-
-
-#: Seeds trained at once lie along a leading axis of all but the iteration, which they share.
-SEEDS = TrainState._make((0, 0, 0, 0, 0, 0, None))
 
 
 def _figures(walk):
