@@ -43,7 +43,7 @@ class SceneConfig:
 
     radius: float = 0.2  # of a body [m]
     companions: float = 0.5  # share of people who walk in pairs and threes
-    speeds: tuple[float, float, float, float] = (1.34, 0.3, 0.5, 2.0)  # preferred: mean, SD, least and most [m/s]
+    speeds: tuple[float, float, float, float] = (1.34, 0.36, 0.4, 2.0)  # preferred: mean, SD, least and most [m/s]
     care: float = 0.5  # how much an LCF of 1 adds to the weight of others' costs
     noise: float = 0.1  # in the actions, so that people see more than one course
     learning_rate: float = 1.5e-3
@@ -56,6 +56,8 @@ class SceneConfig:
     blur: float = 0.1  # by how much two bodies that just miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
     touch: float = 2.0  # of each body or wall that is touched
+    headway: float = 8.0  # of the squared room that is missing behind a person who walks ahead [m2]
+    headway_time: float = 0.6  # by which that room grows with one's speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 
 
@@ -128,11 +130,19 @@ def costs(
     overlap = jnp.where(itself, 0.0, _near(distance - reach))
     wall = jnp.min(geometry.point_box_distance(after.position, boxes[..., None, :, :]), axis=-1) - traits.radius
     beyond = jnp.clip(distance - 1.0, 0.0, 3.0)
+    speed = geometry.norm(after.velocity)
+    heading = _HOLD(jnp.where(speed[..., None] > 0.1, after.velocity / jnp.maximum(speed, 0.1)[..., None], ahead))
+    in_front = geometry.to_frame(position, heading[..., :, None, :])
+    aside = jax.nn.sigmoid((0.8 * reach - jnp.abs(in_front[..., 1])) / 0.08)
+    same_way = jnp.sum(others[1][..., None, :, :] * heading[..., :, None, :], axis=-1) > -0.2
+    missing = config.headway_time * speed[..., None] - (in_front[..., 0] - reach)
+    missing = jnp.where(~itself & same_way & (in_front[..., 0] > 0), jnp.clip(missing, 0.0, 1.0), 0.0)
     wanted = after.velocity / traits.preferred_speed[..., None] - _HOLD(ahead)
     return {
         "pace": jnp.sum(wanted**2, axis=-1),
         "change": jnp.sum((after.velocity - before.velocity) ** 2, axis=-1) / period**2,
         "meet": jnp.sum(jnp.minimum(energy, 6.0), axis=-1),
+        "headway": jnp.sum(aside * missing**2, axis=-1),
         "touch": jnp.sum(overlap, axis=-1) + _near(wall),
         "apart": jnp.sum(companions * beyond, axis=-1) / jnp.maximum(jnp.sum(companions, axis=-1), 1),
     }
@@ -226,6 +236,7 @@ class SceneWorlds:
                 config.pace * cost["pace"]
                 + config.change * cost["change"]
                 + config.apart * cost["apart"]
+                + config.headway * cost["headway"]
                 + (1.0 + config.care * walk.lcf) * social
             )
             through = scenes.passed(gate, walked.position)
@@ -237,6 +248,7 @@ class SceneWorlds:
                 "touch": jnp.mean(walked.contact * 1.0),
                 "meet": jnp.mean(cost["meet"]),
                 "change": jnp.mean(cost["change"]),
+                "headway": jnp.mean(cost["headway"]),
             }
             return (walk._replace(physics=physics, ahead=number), after.position, after.velocity), (total, told)
 
@@ -278,7 +290,7 @@ class SceneTrainer:
             "head": init_mlp(key_head, (networks.OWN + 2 * encoded, *HIDDEN[:2], 2), 0.01),
         }
         walk = self._begin_jitted(key_walk)
-        figures = dict.fromkeys(("cost", "pace", "touch", "meet", "change"), jnp.zeros(()))
+        figures = dict.fromkeys(("cost", "pace", "touch", "meet", "change", "headway"), jnp.zeros(()))
         return TrainState(network, self.optimizer.init(network), None, walk, figures, key, jnp.zeros((), jnp.int32))
 
     def init_seeds(self, seeds: Iterable[int]) -> TrainState:
