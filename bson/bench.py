@@ -1,9 +1,11 @@
-"""How fast the benchmark steps and robots learn in it, and how much of the time MuJoCo itself takes."""
+"""How fast the benchmark steps and robots learn in it, how much of the time MuJoCo itself takes, and what bags cost."""
 
 import dataclasses
 import itertools
 import os
+import pathlib
 import platform
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -11,8 +13,10 @@ from typing import Any, cast
 import numpy as np
 
 from bson.episodes import tracks
+from bson.episodes.record import Recorder
 from bson.episodes.session import Session
 from bson.evaluation.play import versions
+from bson.evaluation.suites import Cell
 from bson.simulation.engines.base import Engine
 from bson.task import TaskConfig
 
@@ -182,4 +186,54 @@ def run_learning(
         show(f"{algo:>10}{number:>8}{nworld:>8}{speed:>17,.0f}{updating:>12.0%}{share:>11.0%}")
         case = {"algo": algo, "people": number, "worlds": nworld}
         rows.append({**case, "steps_per_s": speed, "in_updates": updating, "in_mujoco": share})
+    return rows
+
+
+def measure_recording(config: TaskConfig, sensors: Sequence[Any], seconds: float = 60.0) -> tuple[float, int]:
+    """The processor's time [s] that writing a bag of `seconds` [s] of an episode takes, without the simulation, and the
+    bag's size [bytes]. The robot drives wide arcs."""
+    from bson.interfaces import bag
+
+    steps = round(seconds / config.control_period)
+    session = Session(config.replace(horizon=steps + 1), tracks.LocalTrack(tuple(sensors)), 1, seeds=[0])
+    session.reset([0], [0])
+    recorder, action = Recorder(session, 0), np.array(_ACTION)
+    told = bag.about("arcs", "none", Cell((), config), ["local", ""], [])
+    with tempfile.TemporaryDirectory() as folder, bag.recordings(folder, lambda seed: "bag", told) as begin:
+        before = time.process_time()
+        recording = begin(session, 0)
+        spent = time.process_time() - before
+        for _ in range(steps):
+            session.step([0], action[None])
+            before = time.process_time()
+            recording.snap(action)
+            spent += time.process_time() - before
+        episode = recorder.episode()
+        before = time.process_time()
+        recording.end(episode)
+        spent += time.process_time() - before
+        return spent, sum(file.stat().st_size for file in pathlib.Path(folder, "bag").iterdir())
+
+
+def run_recording(
+    people: Sequence[int] = (24,),
+    sensors: Sequence[str] = ("lidar2d",),
+    model: str = "macid",
+    seconds: float = 60.0,
+    show: Callable[[str], object] = print,
+) -> list[dict[str, Any]]:
+    """Prints what writing bags takes, a line a case as it is measured; returns its rows as dicts. Raises ValueError for
+    a sensor set that is not among SENSORS."""
+    for sensor in sensors:
+        if sensor not in SENSORS:
+            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    show(machine())
+    show(f"writing a bag of {seconds:g} s of an episode, without simulating it (CPU time); pedestrians: {model}")
+    show(f"{'people':>7}{'sensor':>10}{'seconds':>10}{'MB':>8}")
+    rows = []
+    for number, sensor in itertools.product(people, sensors):
+        config = TaskConfig(num_pedestrians=number, pedestrian_model=model)
+        spent, size = measure_recording(config, SENSORS[sensor], seconds)
+        rows.append({"people": number, "sensor": sensor, "of": seconds, "seconds": spent, "bytes": size})
+        show(f"{number:>7}{sensor:>10}{spent:>10.2f}{size / 1e6:>8.2f}")
     return rows

@@ -1,4 +1,5 @@
-"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render` and `train` as calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay`,
+`ros`, `deploy`, `dataset` and `train` as calls.
 
     from bson import benchmark
 
@@ -49,11 +50,15 @@ def evaluate(
     paired: bool = False,
     metrics: Sequence[str] = (),
     videos: int = 2,
+    record: bool = False,
     resume: bool = False,
     executor: str | Executor = "local",
     ray_address: str | None = None,
     workers: int | None = None,
     engine: str = "native",
+    stamped: bool = True,
+    real_time: bool = False,
+    timeout: float = 10.0,
     command: str | None = None,
     told: Callable[[Results], None] | None = None,
     quiet: bool = False,
@@ -66,10 +71,13 @@ def evaluate(
     seeds of the same kind. track, sensor: as for bson.episodes.tracks.make_track (default: what the agent wants).
     overrides: fields of TaskConfig that are changed. paired: also plays each episode without the robot. metrics: the
     user's own metrics, each `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: the number
-    of films. resume: goes on with the evaluation that was cut short in `out`. executor, ray_address, workers: see
-    macid.executors.make_executor. engine: "native", or "warp", which plays all episodes of a cell at once on a device,
-    for agents that are learned policies. command: the command that `results.json` names as its origin. told: called
-    with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
+    of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
+    evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
+    "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
+    stamped, real_time, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2: whether it
+    sends TwistStamped, not Twist; whether the world takes a control step each period and does not wait for a command;
+    how long a command may take in lockstep [s]. command: the command that `results.json` names as its origin. told:
+    called with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
     with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
@@ -82,6 +90,7 @@ def evaluate(
     from bson.evaluation.play import results, sound
     from bson.evaluation.store import Unfinished, basis, files_digest
     from bson.evaluation.suites import load_suite
+    from bson.interfaces.bag import remove_bags
     from bson.reporting.report import make_report
 
     name, changes = agent_label(agent), overrides or {}
@@ -91,7 +100,9 @@ def evaluate(
     chosen = load_suite(suite)
     seeds = chosen.drawn(episodes, seed)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
-    make_agent = load_agent(agent, untrained)
+    if agent == ROS and (executor != "local" or engine != "native"):
+        raise UsageError("The agent 'ros' drives one world in this process: leave --executor and --engine out.")
+    make_agent = _Other(track, sensor) if agent == ROS else load_agent(agent, untrained)
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells], seen)
@@ -101,6 +112,10 @@ def evaluate(
     if engine != "native":
         check_engine(engine, agent, wanted, executor, paired)
         follows_from["engine"] = engine
+    if agent == ROS and real_time:
+        follows_from["real_time"] = True
+    if record:
+        _check_record(out, engine)
     folder = None if out is None else _evaluation_folder(out)
     runner = make_executor(executor, ray_address, workers)
     with contextlib.ExitStack() as held:
@@ -111,6 +126,8 @@ def evaluate(
         found = [
             {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
         ]
+        if agent == ROS:
+            make_agent = held.enter_context(_on_the_wire(stamped, real_time, timeout))
         with runner:
             played = play_cells(
                 runner,
@@ -142,14 +159,16 @@ def evaluate(
             frozen_seeds=seed == 0,
             command=command,
             **({} if engine == "native" else {"engine": engine}),
+            **({"real_time": True} if agent == ROS and real_time else {}),
         )
         found = Results(json.loads(json.dumps(content)), name if out is None else str(out))
         if folder is None:
             if told:
                 told(found)
             return found
-        # Films that an earlier run left here do not belong to these results.
+        # Films and bags that an earlier run left here do not belong to these results.
         remove_leftovers(folder / "videos")
+        remove_bags(folder / "bags")
         for stale in (folder / "report.html", *(folder / "videos").glob("seed-*.webm")):
             if not stale.is_symlink():
                 stale.unlink(missing_ok=True)
@@ -157,14 +176,93 @@ def evaluate(
         if told:
             told(found)
         played = [sound(each) for each in played]
+        bags = _record_ends(played, cells, seen, folder / "bags", content) if record else []
         films, why_not = _films(played, cells, seen, folder / "videos", videos, name, quiet)
         report = make_report(content, [e for each in played for e in each], films, why_not)
         write_bytes(folder / "report.html", report.encode())
         assert unfinished is not None  # as `out` is a folder
         unfinished.discard()
     return dataclasses.replace(
-        found, written=(folder / "results.json", folder / "report.html", *(path for path, _ in films))
+        found, written=(folder / "results.json", folder / "report.html", *bags, *(path for path, _ in films))
     )
+
+
+ROS = "ros"  # the agent that drives on the other side of ROS 2
+
+
+class _Other:
+    """What the agent on the other side of ROS 2 wants to be given."""
+
+    takes_setting = False
+
+    def __init__(self, track, sensor):
+        from bson.interfaces import ros
+
+        ros.check()
+        self.track, self.sensor = track or "local", sensor or "lidar2d"
+
+    def __call__(self, setting=None):
+        raise TypeError("It drives once it is on the wire.")
+
+
+def _on_the_wire(stamped, real_time, timeout):
+    """A context manager of the agent on the other side of ROS 2, as run_episodes takes it."""
+    from bson.interfaces import ros_world
+
+    return ros_world.agent(stamped, not real_time, timeout)
+
+
+def _check_record(out, engine):
+    """Raises UsageError where an evaluation can't record its episodes."""
+    from bson.interfaces import bag
+
+    bag.check()
+    if out is None:
+        raise UsageError("record writes bags beside the results: give the folder `out`, too.")
+    if engine != "native":
+        raise UsageError(f"The engine '{engine}' keeps no actions, which bags are made from: leave --record out.")
+    check_folder(pathlib.Path(out) / "bags")
+
+
+def _record_ends(played, cells, track, folder, content):
+    """Writes the worst and the best of the episodes `played`, those of each of `cells`, to bags in `folder`; returns
+    their paths. content: that of results.json."""
+    from bson.evaluation.metrics import sns
+    from bson.evaluation.play import replayed
+    from bson.interfaces import bag
+
+    ranked = sorted(
+        ((cell, one) for cell, episodes in zip(cells, played, strict=True) for one in episodes),
+        key=lambda pair: sns(pair[1]),
+    )
+    written = []
+    for cell, episode in ranked[:1] + ranked[1:][-1:]:
+        if episode.actions is None:
+            told = f"not recorded: an older version began the evaluation, and kept no actions of seed {episode.seed}"
+            print(told, file=sys.stderr)
+            continue
+        called = _bag_name(cell, len(cells) > 1, episode.seed)
+        about = _about(cell, content)
+        with bag.recordings(folder, lambda seed, called=called: called, about) as watch:
+            again = replayed(episode, cell.config, track, watch)
+        assert sns(again) == sns(episode), "an episode and its recording differ"
+        written.append(folder / called)
+    return written
+
+
+def _bag_name(cell, several, seed):
+    return f"seed-{seed}{'-' + cell.slug if several else ''}"
+
+
+_ABOUT = ("suite_digest", "task_digest", "overrides", "frozen_seeds", "versions", "command")  # keys of results.json
+
+
+def _about(cell, content):
+    """What the bags of a `cell` tell beside their episodes. content: that of results.json."""
+    from bson.interfaces import bag
+
+    more = {key: content[key] for key in _ABOUT}
+    return bag.about(content["agent"], content["suite"], cell, content["track"], content["sensors"], **more)
 
 
 def _evaluation_folder(out):
@@ -261,6 +359,292 @@ def _films(played, cells, track, folder, number, name, quiet):
         where = f" in '{cell.name}'" if several else ""
         made.append((path, f"seed {episode.seed}{where}{kind and f', {kind}'}: SNS {sns(episode):.1f}"))
     return made, ""
+
+
+def record(
+    agent: Any,
+    out: str | pathlib.Path,
+    *,
+    suite: str | None = None,
+    seed: int = 0,
+    episodes: int | None = None,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    stamped: bool = True,
+    real_time: bool = False,
+    timeout: float = 10.0,
+    command: str | None = None,
+    quiet: bool = False,
+) -> list[pathlib.Path]:
+    """Plays an agent and writes each episode to a bag, a rosbag2 folder with MCAP storage, as `bson record` does (extra
+    `record`); returns the bags' folders, `out`/seed-N, or `out`/seed-N-CELL where a suite has several cells.
+
+    suite: the name of the suite whose episodes are played, `episodes` of each cell; None: one episode of the paper's
+    setting. seed: of that episode, or as for `evaluate` with a suite. stamped: whether commands are TwistStamped
+    messages, not Twist. The other arguments are as for `evaluate`. Where the request can't be met, raises UsageError
+    before anything is played. Each bag is whole or not there.
+    """
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.episodes.tracks import make_track, sensor_label, sensor_settings
+    from bson.evaluation.play import run_episodes, versions
+    from bson.evaluation.store import basis, files_digest
+    from bson.evaluation.suites import Cell, load_suite
+    from bson.interfaces import bag, messages
+    from bson.task import TaskConfig
+
+    bag.check()
+    name, changes = agent_label(agent), overrides or {}
+    if suite is None:
+        if episodes is not None:
+            raise UsageError("--episodes is a number of a suite's episodes: give --suite, too.")
+        cells, seeds, digest = [Cell((), TaskConfig())], [seed], None
+    else:
+        chosen = load_suite(suite)
+        cells, seeds, digest = chosen.cells, chosen.drawn(episodes, seed), chosen.digest
+    cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in cells]
+    make_agent = _Other(track, sensor) if agent == ROS else load_agent(agent, untrained)
+    wanted = track or make_agent.track, sensor or make_agent.sensor
+    seen = make_track(*wanted)
+    check_settings(make_agent, [cell.config for cell in cells], seen)
+    for cell in cells:
+        _check_spawn(cell.config, seeds)
+    several = len(cells) > 1
+    folder = bag.check_new(out, [_bag_name(cell, several, one) for cell in cells for one in seeds])
+    for key in messages.unknown(seen.sensors):
+        print(f"not recorded: the sensor '{key}', for which ROS has no message here", file=sys.stderr)
+    content = {
+        "agent": name,
+        "suite": suite or "none",
+        "suite_digest": None if changes else digest,
+        "task_digest": files_digest(basis(name, wanted, cells, False)),
+        "track": [wanted[0], sensor_label(wanted[1])],
+        "sensors": sensor_settings(seen.sensors),
+        "overrides": {key: str(value) for key, value in changes.items()},
+        "frozen_seeds": suite is not None and seed == 0,
+        "versions": versions(),
+        "command": command,
+    }
+    written = []
+    with _on_the_wire(stamped, real_time, timeout) if agent == ROS else contextlib.nullcontext(make_agent) as driver:
+        for cell in cells:
+            called = functools.partial(_bag_name, cell, several)
+            with (
+                _bar(name, several, quiet, cell.name, False, len(seeds), 0) as bar,
+                new_folder(folder),
+                bag.recordings(folder, called, _about(cell, content), stamped) as watch,
+            ):
+
+                def progress(steps, episode, bar=bar):
+                    bar(steps, episode is not None)
+
+                run_episodes(driver, cell.config, seen, seeds, name, progress, watch=watch)
+            written += [folder / called(one) for one in seeds]
+    return written
+
+
+def replay(bags: Sequence[str | pathlib.Path], out: str | pathlib.Path | None = None) -> Results:
+    """Scores recorded episodes again, from the messages in their bags, as `bson replay` does; returns the Results. They
+    equal those of the evaluation bit for bit, episode by episode (but for the effects on others of --paired).
+
+    bags: folders that `record` or `evaluate` wrote, or folders of these. out: a folder for results.json. Raises
+    UsageError where a bag is damaged, or the bags are of different agents, suites or settings.
+    """
+    from bson.evaluation.play import results
+    from bson.evaluation.suites import Cell
+    from bson.interfaces import bag
+    from bson.task import TaskConfig
+
+    path = None if out is None else check_file(pathlib.Path(out) / "results.json")
+    cells: dict[str, Any] = {}
+    there = [(folder, *bag.read(folder)) for folder in bag.bags_in(bags)]
+    where, first, _ = there[0]
+    for folder, about, episode in there:
+        for key in ("agent", "suite", "suite_digest", "task_digest", "track"):
+            if (one := getattr(first, key)) != (other := getattr(about, key)):
+                told = f"{key} {one!r} in '{where}', and {other!r} in '{folder}'"
+                raise UsageError(f"The bags are of different evaluations: {told}. Give those of one.")
+        if about.cell not in cells:
+            try:
+                config = TaskConfig(**about.config)
+            except (TypeError, ValueError) as error:
+                raise UsageError(f"bag '{folder}', key 'config': {error}") from None
+            cells[about.cell] = Cell(tuple(map(tuple, about.grades)), config), {}
+        played = cells[about.cell][1]
+        if episode.seed in played:
+            raise UsageError(f"There are two bags of the seed {episode.seed}, and '{folder}' is the second: give one.")
+        played[episode.seed] = episode
+    content = results(
+        first.agent,
+        first.suite,
+        [cell for cell, _ in cells.values()],
+        [list(played.values()) for _, played in cells.values()],
+        suite_digest=first.suite_digest,
+        task_digest=first.task_digest,
+        track=first.track,
+        sensors=first.sensors,
+        paired=False,
+        overrides=first.overrides,
+        frozen_seeds=first.frozen_seeds,
+        command=None,
+    )
+    found = Results(json.loads(json.dumps(content)), str(where) if out is None else str(out))
+    if path is not None:
+        with new_folder(path.parent):
+            found.save(path)
+        found = dataclasses.replace(found, written=(path,))
+    return found
+
+
+def ros(
+    *,
+    suite: str | None = None,
+    seed: int = 0,
+    episodes: int | None = None,
+    track: str = "local",
+    sensor: Any = "lidar2d",
+    overrides: dict[str, Any] | None = None,
+    lockstep: bool = False,
+    stamped: bool = True,
+    timeout: float = 10.0,
+    told: Callable[[str], object] = print,
+) -> None:
+    """A world as a ROS 2 node, as `bson ros` does (extra `ros`; see bson.interfaces.ros_world).
+
+    suite: the suite whose episodes are played one after another, `episodes` of each cell; None: the episode `seed` of
+    the paper's setting, and then those that the node's service begins. lockstep: whether the world waits for one
+    command in each control step, at most `timeout` [s]. stamped: whether commands are TwistStamped, not Twist. told:
+    called with a line on each episode that ended. Raises UsageError.
+    """
+    from bson.episodes.tracks import make_track
+    from bson.evaluation.metrics import sns
+    from bson.evaluation.suites import load_suite
+    from bson.interfaces import ros as connection
+    from bson.interfaces import ros_world
+    from bson.task import TaskConfig
+
+    connection.check()
+    changes, seen = overrides or {}, make_track(track, sensor)
+    if suite is None:
+        if episodes is not None:
+            raise UsageError("--episodes is a number of a suite's episodes: give --suite, too.")
+        plan, config = None, TaskConfig().replace(**changes)
+        _check_spawn(config, [seed])
+    else:
+        chosen = load_suite(suite)
+        plan = [(cell.config.replace(**changes), one) for cell in chosen.cells for one in chosen.drawn(episodes, seed)]
+        for each, one in plan:
+            _check_spawn(each, [one])
+        config = plan[0][0]
+
+    def ended(episode):
+        how = episode.fault or ("arrived" if episode.arrived else "timed out")
+        told(
+            f"seed {episode.seed}: SNS {sns(episode):.1f}, {how} after {episode.duration:.1f} s, "
+            f"{episode.collisions} collisions"
+        )
+
+    ros_world.serve(plan, config, seen, seed, stamped, lockstep, timeout, ended)
+
+
+def deploy(
+    agent: Any,
+    *,
+    robot: str = "jackal",
+    period: float = 0.1,
+    untrained: bool = False,
+    stamped: bool = True,
+    timeout: float = 10.0,
+    goal_frames: Sequence[str] = (),
+) -> None:
+    """Drives a robot with an agent until it is interrupted, as `bson deploy` does (extra `ros`; see
+    bson.interfaces.ros_agent, also for the arguments). agent: as for `evaluate`. Raises UsageError."""
+    from bson.agents import agent_label, load_agent
+    from bson.interfaces import ros as connection
+    from bson.interfaces import ros_agent
+    from bson.robot import robot_config
+
+    connection.check()
+    factory = load_agent(agent, untrained)
+    ros_agent.drive(factory, agent_label(agent), robot_config(robot), period, stamped, timeout, goal_frames)
+
+
+def dataset(
+    agent: Any = None,
+    out: str | pathlib.Path | None = None,
+    *,
+    name: str | None = None,
+    suite: str = "paper",
+    cell: str | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    track: str | None = None,
+    sensor: Any = None,
+    overrides: dict[str, Any] | None = None,
+    untrained: bool = False,
+    command: str | None = None,
+    quiet: bool = False,
+) -> list[pathlib.Path]:
+    """Plays an agent and writes its episodes to a Minari dataset, as `bson dataset` does (extra `data`); returns the
+    datasets' folders.
+
+    agent: as for `evaluate`; None: three datasets, expert, medium and random, of the agents
+    bson.learning.dataset.LEVELS. name: the dataset's id, by default bson/SUITE/AGENT-v0. out: folder of datasets, by
+    default Minari's own. cell: one cell of the suite, by its name. The other arguments are as for `evaluate`. Where the
+    request can't be met, raises UsageError before anything is played. A dataset is whole or not there.
+    """
+    from bson.agents import agent_label, check_settings, load_agent
+    from bson.episodes.tracks import make_track, sensor_label
+    from bson.evaluation.play import versions
+    from bson.evaluation.store import basis, files_digest
+    from bson.evaluation.suites import load_suite
+    from bson.learning import dataset as datasets
+
+    datasets.check()
+    if agent is None and name is not None:
+        raise UsageError("--id names one dataset, and without --agent there are three: give --agent, too.")
+    chosen, changes = load_suite(suite), overrides or {}
+    seeds = chosen.drawn(episodes, seed)
+    cells = [one for one in chosen.cells if cell in (None, one.name)]
+    if not cells:
+        known = ", ".join(repr(one.name) for one in chosen.cells)
+        raise UsageError(f"Suite '{suite}' has no cell {cell!r}. Choose one of {known}.")
+    cells = [dataclasses.replace(one, config=one.config.replace(**changes)) for one in cells]
+    for one in cells:
+        _check_spawn(one.config, seeds)
+    planned = []
+    for level, each in {"": agent}.items() if agent is not None else datasets.LEVELS.items():
+        called, made = agent_label(each), load_agent(each, untrained)
+        wanted = track or made.track, sensor or made.sensor
+        check_settings(made, [one.config for one in cells], make_track(*wanted))
+        usual = f"bson/{_word(chosen.name)}/{level or _word(pathlib.Path(called).stem)}-v0"
+        planned.append((called, made, wanted, name or usual, datasets.folder_of(name or usual, out)))
+    for called, made, wanted, its_name, folder in planned:
+        about = {
+            "algorithm_name": called,
+            "description": f"{len(seeds)} episodes of each of {len(cells)} cells of the suite {chosen.name}",
+            "suite": chosen.name,
+            "suite_digest": None if changes or cell is not None else chosen.digest,
+            "task_digest": files_digest(basis(called, wanted, cells, False)),
+            "seeds": list(map(int, seeds)),
+            "track": [wanted[0], sensor_label(wanted[1])],
+            "overrides": {key: str(value) for key, value in changes.items()},
+            "versions": versions(),
+            "command": command,
+        }
+        with _bar(called, False, quiet, None, False, len(seeds) * len(cells), 0) as bar:
+
+            def progress(steps, episode, bar=bar):
+                bar(steps, episode is not None)
+
+            datasets.write(folder, its_name, made, called, cells, wanted, seeds, about, progress)
+    return [folder for *_, folder in planned]
+
+
+def _word(name):
+    """`name` as a word of a dataset's id."""
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)
 
 
 def _loaded(results):
@@ -412,6 +796,7 @@ def train(
     worlds: int = 16,
     preset: str = "fast",
     overrides: dict[str, Any] | None = None,
+    demonstrations: str | None = None,
     resume: bool = False,
     tensorboard: bool = False,
     executor: str | Executor = "local",
@@ -423,7 +808,8 @@ def train(
 
     algo: a name of bson.learning.train.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS. steps:
     control steps of all worlds together. worlds: how many are stepped at once. overrides: fields of TaskConfig that are
-    changed. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor; an
+    changed. demonstrations: of bc, a Minari dataset to learn from in place of an expert, its id or its folder. resume:
+    goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor; an
     executor with several workers trains the seeds side by side. Raises UsageError, also where the extra `agents` is
     missing.
     """
@@ -431,6 +817,15 @@ def train(
         from bson.learning.train import TrainConfig, hyperparameters
 
     chosen = hyperparameters(algo, preset)
+    if demonstrations is not None:
+        from bson.learning.dataset import load
+
+        if algo != "bc":
+            raise UsageError(f"--demonstrations are what bc learns from, not {algo}: leave them out.")
+        if executor != "local":
+            raise UsageError("--demonstrations are read in this process: leave --executor out.")
+        load(demonstrations)  # raises where there are none
+        chosen = dataclasses.replace(chosen, demonstrations=demonstrations)
     configs = [
         TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen)
         for one in range(seed, seed + seeds)

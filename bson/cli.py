@@ -112,11 +112,15 @@ def _evaluate(args):
         paired=args.paired,
         metrics=args.metric,
         videos=args.videos,
+        record=args.record,
         resume=args.resume,
         executor=args.executor,
         ray_address=args.ray_address,
         workers=args.workers,
         engine=args.engine,
+        stamped=not args.twist,
+        real_time=args.real_time,
+        timeout=args.timeout,
         command=_words(args.argv),
         told=lambda results: print(format_summary(results.content), flush=True),
     )
@@ -157,6 +161,95 @@ def _render(args):
         untrained=args.untrained_setting,
     )
     print(f"Written: {path}")
+    return 0
+
+
+def _ros(args):
+    from bson import benchmark
+
+    benchmark.ros(
+        suite=args.suite,
+        seed=args.seed,
+        episodes=args.episodes,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        lockstep=args.lockstep,
+        stamped=not args.twist,
+        timeout=args.timeout,
+        told=lambda text: print(text, flush=True),
+    )
+    return 0
+
+
+def _deploy(args):
+    from bson import benchmark
+
+    benchmark.deploy(
+        args.agent,
+        robot=args.robot,
+        period=args.period,
+        untrained=args.untrained_setting,
+        stamped=not args.twist,
+        timeout=args.timeout,
+        goal_frames=args.goal_frame,
+    )
+    return 0
+
+
+def _record(args):
+    from bson import benchmark
+
+    written = benchmark.record(
+        args.agent,
+        args.out,
+        suite=args.suite,
+        seed=args.seed,
+        episodes=args.episodes,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        stamped=not args.twist,
+        real_time=args.real_time,
+        timeout=args.timeout,
+        command="bson " + shlex.join(args.argv),
+    )
+    print(f"Written: {', '.join(map(str, written))}")
+    return 0
+
+
+def _replay(args):
+    from bson import benchmark
+    from bson.evaluation.play import format_summary
+
+    found = benchmark.replay(args.bags, args.out)
+    for row in found.content["episodes"]:
+        print(f"{row['cell']}, seed {row['seed']}: SNS {row['SNS']!r}")
+    print(format_summary(found.content))
+    if args.out:
+        print(f"Written: {found.written[0]}")
+    return 0
+
+
+def _dataset(args):
+    from bson import benchmark
+
+    written = benchmark.dataset(
+        args.agent,
+        args.out,
+        name=args.id,
+        suite=args.suite,
+        cell=args.cell,
+        episodes=args.episodes,
+        seed=args.seed,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        command="bson " + shlex.join(args.argv),
+    )
+    print(f"Written: {', '.join(map(str, written))}")
     return 0
 
 
@@ -203,6 +296,7 @@ def _train(args):
         worlds=args.worlds or 16,
         preset=args.preset,
         overrides=_overrides(args.set),
+        demonstrations=args.demonstrations,
         resume=args.resume,
         tensorboard=args.tensorboard,
         executor=args.executor,
@@ -216,6 +310,8 @@ def _train(args):
 
 
 def _train_warp(args):
+    if args.demonstrations is not None:
+        raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.tensorboard or args.executor != "local":
@@ -259,7 +355,9 @@ def _bench(args):
     for people in args.pedestrians or []:
         TaskConfig(num_pedestrians=people)  # raises where this number is not valid
     path = check_file(args.out, "file for --out") if args.out else None
-    if args.engine == "warp":
+    if args.record:
+        rows = _bench_recording(args, given)
+    elif args.engine == "warp":
         rows = _bench_warp(args, given)
     elif args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
@@ -272,6 +370,16 @@ def _bench(args):
         with new_folder(path.parent):
             write_json(path, {"machine": bench.machine(), "rows": rows})
     return 0
+
+
+def _bench_recording(args, given):
+    from bson import bench
+    from bson.interfaces import bag
+
+    bag.check()
+    if args.engine != "native" or args.train is not None or "batches" in given or "seconds" in given:
+        raise UsageError("--record measures bags of 60 s: leave --train, --engine, --worlds and --seconds out.")
+    return bench.run_recording(**given, model=args.pedestrian_model)
 
 
 def _bench_warp(args, given):
@@ -314,9 +422,10 @@ def _list(args):
     return 0
 
 
-def _add_setting(command):
+def _add_setting(command, agent: str | None = "vfh"):
+    several = "" if agent else " (default: three datasets: tac as expert, ppo-paper as medium, and random)"
     command.add_argument(
-        "--agent", type=name, default="vfh", help="a name (bson list), module:function, or file.py[:function]"
+        "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{several}"
     )
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
@@ -326,6 +435,25 @@ def _add_setting(command):
         help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
     )
     _add_task(command)
+
+
+def _add_wire(command):
+    command.add_argument("--twist", action="store_true", help="commands as Twist, not as TwistStamped")
+    command.number(
+        "--timeout",
+        float,
+        0.0,
+        3600.0,
+        above=True,
+        default=10.0,
+        help="with ROS 2: how long a message may stay out [s]",
+    )
+
+
+def _add_pace(command):
+    command.add_argument(
+        "--real-time", action="store_true", help="with --agent ros: a control step each period, not in lockstep"
+    )
 
 
 def _add_task(command):
@@ -360,6 +488,9 @@ def _add_evaluation(command, out, suite):
         "and the best of the best",
     )
     command.add_argument(
+        "--record", action="store_true", help="also write the worst and the best episode to bags/ (extra `record`)"
+    )
+    command.add_argument(
         "--metric",
         type=name,
         action="append",
@@ -375,6 +506,8 @@ def _add_evaluation(command, out, suite):
         "--resume", action="store_true", help="go on with an evaluation that was cut short in the folder --out"
     )
     command.add_argument("--out", type=name, default=out, help="folder for results.json, report.html and videos/")
+    _add_wire(command)
+    _add_pace(command)
     add_executor(command)
     command.set_defaults(run=_evaluate)
 
@@ -425,6 +558,82 @@ def parser() -> Parser:
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    record = commands.add_parser(
+        "record", help="write episodes to rosbag2 folders with MCAP storage (extra `record`)", **defaults
+    )
+    _add_setting(record)
+    record.add_argument("--suite", type=name, default=None, help="record a suite's episodes (bson list)")
+    record.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    record.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
+    )
+    _add_wire(record)
+    _add_pace(record)
+    record.add_argument("--out", type=name, required=True, help="folder; each episode gets one in it, seed-N")
+    record.set_defaults(run=_record)
+
+    ros = commands.add_parser("ros", help="a world as a ROS 2 node: sensors out, /cmd_vel in (extra `ros`)", **defaults)
+    ros.add_argument("--suite", type=name, default=None, help="play a suite's episodes, one after another (bson list)")
+    ros.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    ros.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the episode; with --suite as for bson evaluate, 0: its own seeds"
+    )
+    ros.add_argument("--track", type=name, default="local", help="local or global")
+    ros.add_argument("--sensor", type=name, default="lidar2d", help="lidar2d, lidar3d, camera, or your own")
+    pace = ros.add_mutually_exclusive_group()
+    pace.add_argument("--lockstep", action="store_true", help="the world waits for one command in each control step")
+    pace.add_argument("--real-time", action="store_true", help="one control step each period (the default)")
+    _add_wire(ros)
+    _add_task(ros)
+    ros.set_defaults(run=_ros)
+
+    deploy = commands.add_parser(
+        "deploy",
+        help="drive a robot with an agent, as a ROS 2 node: /scan, /odom and a goal in (extra `ros`)",
+        **defaults,
+    )
+    deploy.add_argument(
+        "--agent",
+        type=name,
+        default="vfh",
+        help="a name (bson list), a policy.npz, module:function, or file.py[:function]",
+    )
+    deploy.add_argument("--robot", type=name, default="jackal", help="whose limits hold (bson list), or a .toml")
+    deploy.number("--period", float, 0.0, 10.0, above=True, default=0.1, help="between two decisions [s]")
+    deploy.add_argument(
+        "--goal-frame",
+        type=name,
+        action="append",
+        default=[],
+        help="a frame of goals that is the odometry's, by another name; may be repeated. In BSON's worlds: map",
+    )
+    deploy.add_argument(
+        "--untrained-setting",
+        action="store_true",
+        help="let a trained policy try with another robot, control period or LIDAR than it was trained with",
+    )
+    _add_wire(deploy)
+    deploy.set_defaults(run=_deploy)
+
+    replay = commands.add_parser("replay", help="score recorded episodes again (extra `record`)", **defaults)
+    replay.add_argument("bags", type=name, nargs="+", metavar="BAG", help="folders of bson record, or folders of these")
+    replay.add_argument("--out", type=name, default=None, help="folder for results.json")
+    replay.set_defaults(run=_replay)
+
+    dataset = commands.add_parser(
+        "dataset", help="write episodes to a Minari dataset, for offline learning (extra `data`)", **defaults
+    )
+    _add_setting(dataset, agent=None)
+    dataset.add_argument("--suite", type=name, default="paper", help="a name (bson list)")
+    dataset.add_argument("--cell", type=name, default=None, help="only this cell of the suite")
+    dataset.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    dataset.number("--seed", int, 0, 9 * 10**12, default=0, help="as for bson evaluate; 0: the suite's own seeds")
+    dataset.add_argument("--id", type=name, default=None, help="the dataset's (default: bson/SUITE/AGENT-v0)")
+    dataset.add_argument(
+        "--out", type=name, default=None, help="folder of datasets (default: Minari's, MINARI_DATASETS_PATH)"
+    )
+    dataset.set_defaults(run=_dataset)
+
     export = commands.add_parser(
         "export", help="write one seed's scene as MJCF, for MuJoCo, its viewer and MJX without this project", **defaults
     )
@@ -457,15 +666,23 @@ def parser() -> Parser:
     )
     _add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")
+    train.add_argument(
+        "--demonstrations",
+        type=name,
+        default=None,
+        metavar="DATASET",
+        help="of bc: a Minari dataset's id or folder, in place of the expert (extra `data`)",
+    )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)
     train.add_argument("--tensorboard", action="store_true", help="also log the curve for TensorBoard")
     train.set_defaults(run=_train)
 
-    bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training")
+    bench = commands.add_parser("bench", help="measure control steps/s, of stepping or of training; or writing bags")
     bench.add_argument(
         "--train", type=name, nargs="*", metavar="ALGO", help="measure training: ppo, sac, tac (none named: all)"
     )
+    bench.add_argument("--record", action="store_true", help="measure writing bags of 60 s (extra `record`)")
     bench.number("--pedestrians", int, 0, MOST_PEOPLE, nargs="+", help="(default: 24 50 100 200; training: 24)")
     bench.number("--worlds", int, 1, MOST_WORLDS, nargs="+", help="at once (default: 1 16; training: 16)")
     bench.add_argument(
@@ -487,7 +704,7 @@ def parser() -> Parser:
     return root
 
 
-_DRAW_NOTHING = (_compare, _leaderboard, _export, _doctor, _list)
+_DRAW_NOTHING = (_compare, _leaderboard, _replay, _export, _doctor, _list)
 
 
 def main(argv: Sequence[str] | None = None) -> int | str | None:

@@ -248,6 +248,35 @@ def _human_data(args):
     return 0
 
 
+def _human_measure(args):
+    from macid.human.measure import Options, measure, table
+
+    engine, note = _chosen(args)
+    if args.lcf is not None and len(args.lcf) > 2:
+        raise UsageError(f"--lcf takes one LCF, or the least and the greatest, not {len(args.lcf)} numbers.")
+    speed = args.preferred_speed
+    if speed is not None and speed != "human":
+        try:
+            speed = float(speed)
+        except ValueError:
+            raise UsageError(f"--preferred-speed must be a number [m/s] or human, not '{speed}'.") from None
+    options = Options(
+        radius=args.radius,
+        preferred_speed=speed,
+        max_speed=args.max_speed,
+        lcf=None if args.lcf is None else (args.lcf[0], args.lcf[-1]),
+        period=args.period,
+        matched=args.matched,
+        seeds=args.seeds,
+        engine=engine,
+        only=args.only,
+    )
+    document = measure(args.pedestrian, args.data, options, args.out, show=_after(note, _say))
+    print(table(document))
+    print(f"Written to {pathlib.Path(args.out)}")
+    return 0
+
+
 def parser() -> Parser:
     """The command's parser."""
     root = Parser(prog="macid", description="Pedestrian crowds on MuJoCo.")
@@ -364,10 +393,28 @@ def parser() -> Parser:
         formatter_class=HelpFormatter,
     )
     data.add_argument("data", type=name, metavar="DIR", help="a folder with files (.txt, .csv, .dat), or one file")
-    data.add_argument(
-        "--figures", type=name, default=None, metavar="OUT", help="folder for people's figures: people.json"
-    )
+    data.add_argument("--figures", type=name, default=None, metavar="OUT", help="folder for people's figures of them")
     data.set_defaults(run=_human_data)
+    measure = human.add_parser(
+        "measure", help="a pedestrian model beside real people, by many measures", formatter_class=HelpFormatter
+    )
+    measure.add_argument("--pedestrian", type=name, required=True, help=f"{models}; or a file of people's walks")
+    measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files, to be replayed")
+    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's, or 0.35)")
+    measure.number("--seeds", int, 1, MOST_SEEDS, default=3, help="a method's policies, or runs")
+    measure.number(
+        "--lcf", float, -10.0, 10.0, nargs="+", default=None, help="everybody's LCF, or a range (default: Table II's)"
+    )
+    measure.add_argument("--matched", action="store_true", help="in open scenes, at the real people's mean speeds")
+    measure.add_argument(
+        "--preferred-speed", type=name, default=None, help="a number [m/s], or human (default: the policy's own)"
+    )
+    measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
+    measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
+    measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
+    measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
+    measure.add_argument("--out", type=name, default="macid-human", help="folder: measured.json, index.html, film.webm")
+    measure.set_defaults(run=_human_measure)
     return root
 
 

@@ -1,7 +1,8 @@
 """Pictures and films, drawn offscreen with MuJoCo and OpenCV: what films of crowds and of robots have in common.
 
-A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m, height 1.7 m), coloured by its LCF. Pictures
-are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is missing.
+A pedestrian is drawn as a figure inside its true cylinder (radius 0.35 m if nothing else is said, height 1.7 m),
+coloured by its LCF. Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `gl_problem()` says what is
+missing.
 """
 
 import atexit
@@ -307,13 +308,15 @@ class Stage(Offscreen):
         and head in `colours` (K, 3), and a visor where they face."""
         box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
         tube = mujoco.mjtGeom.mjGEOM_CYLINDER
-        waist, head = 1.16, min(0.19, radius)
+        slim = (1.0 + radius / RADIUS) / 2  # heads differ less than shoulders do
+        waist, head, visor = 1.16, 0.19 * slim, 0.13 * slim
         for (x, y, yaw), rgb in zip(poses, colours, strict=True):
             c, s = math.cos(yaw), math.sin(yaw)
             self.add(tube, [radius, waist / 2, 0], [x, y, waist / 2], [*rgb, 1.0], glow=0.15)
             self.add(ball, [radius, radius, 0.15], [x, y, waist], [*rgb, 1.0], glow=0.15)
             self.add(ball, [head, head, 0.22], [x, y, HEIGHT - 0.22], [*(0.85 * rgb), 1.0], glow=0.15)
-            self.add(box, [0.10, 0.13, 0.045], [x + 0.13 * c, y + 0.13 * s, HEIGHT - 0.2], [0.1, 0.1, 0.12, 1.0], yaw)
+            place = [x + visor * c, y + visor * s, HEIGHT - 0.2]
+            self.add(box, [0.10 * slim, visor, 0.045], place, [0.1, 0.1, 0.12, 1.0], yaw)
 
     def add_goal(self, goal: np.ndarray) -> None:
         """Adds a disc as large as `goal` (2,) [m] is, a translucent column, and a flag above everybody's head."""

@@ -59,7 +59,7 @@ class CrowdState(NamedTuple):
         """Of each person (..., K), or one number for all [m]."""
         return RADIUS if self.traits.radius is None else self.traits.radius
 
-    def speeds(self, preferred: float, most: float) -> tuple[Any, Any]:
+    def speeds(self, preferred: Any, most: Any) -> tuple[Any, Any]:
         """(preferred speed, top speed) [m/s] of people whose model's own are `preferred` and `most`: numbers where the
         traits leave them to the model, else arrays (..., K)."""
         most = most if self.traits.max_speed is None else self.traits.max_speed

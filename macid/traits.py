@@ -64,9 +64,11 @@ def draw_preferred_speed(rng: np.random.Generator, preferred: PreferredSpeed, nu
         return None
     if isinstance(preferred, str):
         mean, deviation = HUMAN_SPEED
-        ends = special.ndtr((np.array(HUMAN_RANGE) - mean) / deviation)
-        return mean + deviation * special.ndtri(rng.uniform(*ends, number))
-    return np.full(number, preferred) if is_number(preferred) else rng.uniform(*preferred, number)
+        least, most = special.ndtr((np.array(HUMAN_RANGE) - mean) / deviation)
+        return mean + deviation * special.ndtri(rng.uniform(least, most, number))
+    if isinstance(preferred, tuple):
+        return rng.uniform(preferred[0], preferred[1], number)
+    return np.full(number, preferred)
 
 
 def draw_groups(

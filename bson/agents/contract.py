@@ -196,6 +196,8 @@ def act(agent: Agent, observation: Mapping[str, np.ndarray], name: str = "agent"
     """
     try:
         action = agent(observation)
+    except AgentError:  # it says itself what is wrong
+        raise
     except KeyError as error:
         if not any(key in KEYS and key not in observation for key in error.args if isinstance(key, str)):
             raise AgentFailed(f"Agent '{name}' {raised(error, _OURS)}.") from error

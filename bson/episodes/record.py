@@ -44,6 +44,7 @@ class Episode(_Kept):
     - person_radius: everybody's
     - people_goals: (K, 2) where people go first
     - people_alone: (T + 1, K, 3) the same people without the robot, if that was played
+    - actions: (T, 2) the agent's, as it gave them, if the recorder was told
 
     An episode with a fault is not scored.
     """
@@ -55,6 +56,7 @@ class Episode(_Kept):
     people_goals: np.ndarray | None = None
     people_alone: np.ndarray | None = None
     person_radius: float = RADIUS
+    actions: np.ndarray | None = None
 
     @functools.cached_property
     def effects(self) -> dict[str, np.ndarray]:
@@ -83,10 +85,13 @@ class Recorder:
         self._world, self._index = session.world, index
         self._rows = {name: [] for name in _EACH}
         self._people_goals = self._world.destinations(index)
+        self._actions = []
         self.snap()
 
-    def snap(self) -> None:
-        """Appends the world's present state."""
+    def snap(self, action: np.ndarray | None = None) -> None:
+        """Appends the world's present state, and the `action` (2,) of the control step that led there."""
+        if action is not None:
+            self._actions.append(np.array(action, dtype=float))
         for name, rows in self._rows.items():
             rows.append(np.array(getattr(self._world, _EACH[name].name)[self._index]))
 
@@ -102,6 +107,7 @@ class Recorder:
             period=world.config.control_period,
             robot_radius=world.config.robot.radius,
             people_goals=self._people_goals,
+            actions=np.array(self._actions) if self._actions else None,
             person_radius=world.config.person_radius,
         )
 

@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,8 +20,20 @@ from macid import files
 BATCH = 16  # worlds at once
 
 
+class Watch(Protocol):
+    """Watches one episode that is played, from its reset on."""
+
+    def snap(self, action: np.ndarray, reward: float, terminated: bool, truncated: bool, /) -> object:
+        """Called after each control step, with the agent's action (2,), as it gave it, and what the step brought."""
+        ...
+
+    def end(self, episode: Episode, /) -> object:
+        """Called at the end."""
+        ...
+
+
 def run_episodes(
-    make_agent: Callable[[], Any],
+    make_agent: Callable[..., Any],
     config: TaskConfig,
     track: LocalTrack,
     seeds: Sequence[int],
@@ -29,19 +41,23 @@ def run_episodes(
     progress: Callable[..., object] | None = None,
     batch: int = BATCH,
     nthread: int = 0,
+    watch: Callable[[Session, int], Watch] | None = None,
 ) -> list[Episode]:
     """Plays the episodes `seeds`; returns their Episodes in that order.
 
     make_agent: gives an agent, a callable, for one world; it is called with the Setting if it takes one (see
     bson.agents). progress(steps, episode): called after each control step of each world, with 1 and the Episode that
-    ended in this step, or None. An episode does not depend on which others run beside it.
+    ended in this step, or None. watch(session, index): called as an episode begins in the world `index`; gives its
+    Watch. An agent that has to be told of its world's state in this way has such a function as `told_by`, and drives
+    one world at a time. An episode does not depend on which others run beside it.
     """
-    nworld = min(batch, len(seeds))
+    told_by = getattr(make_agent, "told_by", None)
+    nworld, watch = min(1 if told_by else batch, len(seeds)), _both(told_by, watch)
     setting = Setting.of(config, track)
     agents = [made_for(make_agent, setting) for _ in range(nworld)]  # an agent that refuses does so at once
     session = Session(config, track, nworld, nthread=nthread)
     waiting, playing, recorders, done = list(enumerate(seeds)), {}, {}, {}
-    observations = {}
+    observations, watching = {}, {}
 
     def begin(index):
         if not waiting:
@@ -51,6 +67,8 @@ def run_episodes(
         observation = session.reset([index], [seed])
         reset_agent(agents[index], seed, agent_name)
         recorders[index] = Recorder(session, index)
+        if watch:
+            watching[index] = watch(session, index)
         observations[index] = {name: value[0] for name, value in observation.items()}
 
     for index in range(nworld):
@@ -58,18 +76,42 @@ def run_episodes(
     while playing:
         ids = sorted(playing)
         actions = np.stack([act(agents[index], observations[index], agent_name) for index in ids])
-        observation, _, terminated, truncated = session.step(ids, actions)
+        observation, reward, terminated, truncated = session.step(ids, actions)
         for row, index in enumerate(ids):
-            recorders[index].snap()
+            recorders[index].snap(actions[row])
+            if watch:
+                watching[index].snap(actions[row], reward[row], terminated[row], truncated[row])
             observations[index] = {name: value[row] for name, value in observation.items()}
             ended = terminated[row] or truncated[row]
             if ended:
                 done[playing[index]] = recorders[index].episode()
+                if watch:
+                    watching[index].end(done[playing[index]])
             if progress:
                 progress(1, done[playing[index]] if ended else None)
             if ended:
                 begin(index)
     return [done[number] for number in range(len(seeds))]
+
+
+def _both(first, second):
+    """One `watch` for two, of which each may be None."""
+    if first is None or second is None:
+        return first or second
+
+    class Both:
+        def __init__(self, session, index):
+            self._watches = [each(session, index) for each in (first, second)]
+
+        def snap(self, *told):
+            for each in self._watches:
+                each.snap(*told)
+
+        def end(self, episode):
+            for each in self._watches:
+                each.end(episode)
+
+    return Both
 
 
 def pair(
@@ -233,3 +275,13 @@ def format_summary(content: dict[str, Any]) -> str:
         lines.append(f" not scored, as physics failed: {len(faults)} episode{'s' if len(faults) != 1 else ''}")
         lines += [f"  {_in_words(fault)}" for fault in faults]
     return "\n".join(lines)
+
+
+def replayed(
+    episode: Episode, config: TaskConfig, track: LocalTrack, watch: Callable[[Session, int], Watch]
+) -> Episode:
+    """Plays `episode` of `config` again by its actions, for `watch` (see run_episodes). The worlds of one seed and the
+    same actions are equal, so what comes out is the same Episode."""
+    actions = iter(() if episode.actions is None else episode.actions)
+    (again,) = run_episodes(lambda: lambda observation: next(actions), config, track, [episode.seed], watch=watch)
+    return again

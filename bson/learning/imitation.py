@@ -30,6 +30,7 @@ class BcConfig:
     final_learning_rate: float = 5e-5  # reached linearly over training
     batch: int = 256
     epochs: int = 20
+    demonstrations: str | None = None  # a Minari dataset in place of the expert: its id or folder
 
 
 def demonstrate(

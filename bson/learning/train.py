@@ -23,6 +23,7 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
+from bson.learning.dataset import demonstrations
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
@@ -125,7 +126,8 @@ class TrainConfig:
         default one: "ppo", "ppo-paper", "ppo-orca"."""
         paper, model = PRESETS["paper"].get(self.algo), self.task.get("pedestrian_model")
         if isinstance(paper, BcConfig) and isinstance(self.hyperparameters, BcConfig):
-            paper = dataclasses.replace(paper, expert=self.hyperparameters.expert)
+            taught = {name: getattr(self.hyperparameters, name) for name in ("expert", "demonstrations")}
+            paper = dataclasses.replace(paper, **taught)
         own = self.algo.rpartition(":")[0]  # file.py or package.module
         called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
@@ -449,9 +451,12 @@ def _train_bc(config, keeper, show):
         if steps % (100 * more) == 0:
             show(min(steps, config.steps), {})
 
-    expert = _expert(config)
-    seed = 1_000_000 * (config.seed + 1)
-    episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
+    if hyperparameters.demonstrations is None:
+        expert = _expert(config)
+        seed = 1_000_000 * (config.seed + 1)
+        episodes = demonstrate(expert, config.setting, _TRACK, config.steps, seed, config.num_envs, progress)
+    else:
+        episodes = demonstrations(hyperparameters.demonstrations, config.setting, config.steps)
     x, action = select(episodes, hyperparameters.keep)
 
     def each(epoch, loss, held_out):

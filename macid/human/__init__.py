@@ -10,6 +10,7 @@
 | `figures` | people's figures: made from data, shipped without it |
 | `measure` | a model measured, and the folder of its results |
 | `page` | the page of these results |
+| `command` | what `macid human data` does |
 
 No walk of a real person is part of this project: figures of them are (assets/human).
 """

@@ -6,7 +6,7 @@ Forms of text, one sample a line:
 |---|---|---|
 | `eth` | frame, id, x, z, y, vx, vz, vy | metres; 6 frames are 0.4 s |
 | `ucy` | frame, id, x, y | metres; 10 frames are 0.4 s |
-| `juelich` | id, frame, x, y and mostly z | as `# framerate:` and `x/m` or `x/cm` in comments say, else centimetres, 16 frames/s |
+| `juelich` | id, frame, x, y and mostly z | as comments say (`# framerate:`, `x/m`), else centimetres, 16 frames/s |
 | `csv` | id, t, x, y, named in the first line | seconds, metres |
 
 PedPy writes and reads the form `juelich`. Walks are put on one grid of times, as each annotator's clock began anew.
@@ -14,6 +14,7 @@ PedPy writes and reads the form `juelich`. Walks are put on one grid of times, a
 
 import dataclasses
 import hashlib
+import itertools
 import os
 import pathlib
 import re
@@ -159,7 +160,7 @@ def on_grid(person: np.ndarray, time: np.ndarray, place: np.ndarray, period: flo
             f"{len(bounds) - 1:,} people over {time.max() - first:,.0f} s are too many for one recording; divide it"
         )
     found = np.full((size, len(bounds) - 1, 2), np.nan)
-    for who, (begin, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for who, (begin, end) in enumerate(itertools.pairwise(bounds)):
         own, where = time[begin:end] - first, place[begin:end]
         steps = np.arange(int(np.ceil(own[0] / period - 1e-6)), int(np.floor(own[-1] / period + 1e-6)) + 1)
         for axis in (0, 1):
@@ -186,8 +187,8 @@ def load(path: str | os.PathLike[str]) -> Walks:
 
 
 def files(folder: str | os.PathLike[str]) -> list[pathlib.Path]:
-    """The files under `folder` (or `folder` itself, where it is one) that can hold walks, sorted. Raises UsageError where
-    there is none."""
+    """The files under `folder` (or `folder` itself, where it is one) that can hold walks, sorted. Raises UsageError
+    where there is none."""
     folder = pathlib.Path(folder)
     if folder.is_file():
         return [folder]
@@ -268,8 +269,8 @@ class _Lines:
             return "ucy" if np.gcd.reduce(np.diff(np.unique(self.rows[:, 0])).astype(int)) > 1 else "juelich"
         self.refuse(
             0,
-            f"{columns} columns: neither ETH's 8, nor UCY's 4 (frame, id, x, y), nor Juelich's 4 or 5 (id, frame, x, y, "
-            "z), nor a csv whose first line names id, t, x and y",
+            f"{columns} columns: neither ETH's 8, nor UCY's 4 (frame, id, x, y), nor Juelich's 4 or 5 (id, frame, x, "
+            "y, z), nor a csv whose first line names id, t, x and y",
         )
         return None
 

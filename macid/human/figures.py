@@ -174,7 +174,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
     values, points, smooth, curves, crowds, through = {}, [], [], {}, [], []
     for walk in walks:
         low, high = (round(share * len(walk.position)) for share in part)
-        position, place = walk.position[low:high], walk.source.place
+        position, place = walk.position[low:high], walk.source.place if walk.source else None
         position = position[:, ~np.isnan(position[..., 0]).all(axis=0)]
         smooth.append(measures.people(position, walk.period).smoothness)
         if isinstance(place, Bottleneck):
@@ -184,7 +184,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
                 first, last = (0.1 + 0.7 * share for share in part)  # as of measures.flow
                 times = times[round(first * len(times)) : round(last * len(times)) + 1]
                 values[f"exit{place.exit:g}"] = (len(times) - 1) / (times[-1] - times[0]) / place.exit
-        else:
+        elif place is not None:
             crowds.append(two_ways(position, walk.period, place, towards(position)))
             ends = [own[~np.isnan(own)][[0, -1]] for own in walk.position[..., 1].T]
             through += [abs(end[1] - end[0]) >= 2 * place.half for end in ends]

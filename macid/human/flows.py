@@ -4,11 +4,12 @@ The corridors lie along y, and x is from 0 to the width, as in the lab's files. 
 
 | what | where | who |
 |---|---|---|
-| exit | a corridor of 1.8 m (exit 1.2 m) and of 3 m (exit 2 m), as uo-180-180-120 and uo-300-300-200 | 80 and 120 people at START_DENSITY before the exit, up to 60 s |
+| exit | corridors of 1.8 m (exit 1.2 m) and 3 m (exit 2 m), as the lab's | 80, 120 people before it, up to 60 s |
 | one way | a ring of 8 m, 2 m wide | as many as the fundamental diagram's densities are, 8 s to settle, then 12 s |
-| two ways | a corridor of 3.6 m, 8 m long | 18 and 36 a side, who come towards each other, up to 40 s |
+| two ways | a corridor of 3.6 m, 8 m long | 18 and 36 a side, towards each other, up to 40 s |
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -26,13 +27,15 @@ EXIT_PEOPLE = (80, 120)
 START_DENSITY = 1.6  # before the exit [1/m2]
 LONGEST = 60.0  # [s]
 CROSSING = 40.0  # of two ways [s]
+DENSER = 1.6  # a side's density at the start, over what it is to be in the middle
 RING, RING_WIDTH = 8.0, 2.0  # [m]
 SETTLES, RUNS = 8.0, 12.0  # [s]
 CORRIDOR = TwoWays(3.6, 4.0)
 WALL = 0.3  # thickness [m]
 BEYOND = 4.0  # how far beyond the exit, or the corridor's end, goals lie [m]
 JITTER = 0.05  # of starts [m]
-WALL_ROOM = 0.05  # between people and walls there [m]
+WALL_ROOM = 0.1  # between people and walls there [m]
+_PUSHES = 150  # at most, until bodies have room
 
 
 class Runs(NamedTuple):
@@ -43,46 +46,63 @@ class Runs(NamedTuple):
     smoothness: np.ndarray  #: of all people who walk in a corridor, (N,)
 
 
-def lattice(number: int, width: float, length: float, radius: float, gap: float = WALL_ROOM) -> np.ndarray | None:
+def _apart(places, length):
+    """Offsets (N, N, 2) [m] between `places` (N, 2) on a ring of `length` [m], and distances (N, N), infinite to
+    itself."""
+    offset = places[None] - places[:, None]
+    offset[..., 1] -= length * np.round(offset[..., 1] / length)
+    distance = np.linalg.norm(offset, axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    return offset, distance
+
+
+def lattice(number: int, width: float, length: float, radius: float) -> np.ndarray | None:
     """Places (number, 2) [m] in a corridor, x in (0, width), y in (0, length), which is a ring: rows along y, every
-    other one shifted by half a step, of which the arrangement with the most room; `gap` [m] from walls, or none where there is no room else. None where
-    bodies of `radius` [m] have no room there at all."""
-    best, room = None, 0.0
-    edge = radius + gap
-    usable = width - 2 * edge
-    for rows in range(1, number + 1):
-        across = usable / (rows - 1) if rows > 1 else width
-        if rows > 1 and across < radius / 2:
-            break
-        counts = [number // rows + (row < number % rows) for row in range(rows)]
-        columns = []
-        for row, count in enumerate(counts):
-            x = edge + row * across if rows > 1 else width / 2
-            y = (np.arange(count) + 0.5 * (row % 2)) * length / max(count, 1)
-            columns.append(np.stack([np.full(count, x), y], axis=-1))
-        places = np.concatenate(columns)
-        offset = places[None] - places[:, None]
-        offset[..., 1] -= length * np.round(offset[..., 1] / length)
-        distance = np.linalg.norm(offset, axis=-1)
-        np.fill_diagonal(distance, np.inf)
-        if distance.min() > room:
-            best, room = places, distance.min()
-    if best is not None and room >= 2 * radius - 0.01:
-        return best
-    return lattice(number, width, length, radius, 0.0) if gap else None
+    other one shifted by half a step, of which the arrangement with the most room; then pushed apart until bodies of
+    `radius` [m] have room. WALL_ROOM from walls, or less where there is no room else. None where there is none."""
+    for gap in (WALL_ROOM, 0.0):
+        low, high = radius + gap, width - radius - gap
+        best, room = None, 0.0
+        for rows in range(1, number + 1):
+            across = (high - low) / (rows - 1) if rows > 1 else 0.0
+            if high < low or (rows > 1 and across < radius / 2):
+                break
+            counts = [number // rows + (row < number % rows) for row in range(rows)]
+            columns = [
+                [(low + row * across if rows > 1 else width / 2, (step + 0.5 * (row % 2)) * length / count)]
+                for row, count in enumerate(counts)
+                for step in range(count)
+            ]
+            places = np.array(columns).reshape(number, 2)
+            if (least := _apart(places, length)[1].min()) > room:
+                best, room = places, least
+        for _ in range(_PUSHES):
+            if best is None or room >= 2 * radius:
+                break
+            offset, distance = _apart(best, length)
+            push = np.maximum(2 * radius + 0.005 - distance, 0.0) / np.maximum(distance, 1e-9) / 2
+            best = best - (push[..., None] * offset).sum(axis=1)
+            best[:, 0] = np.clip(best[:, 0], low, high)
+            room = _apart(best, length)[1].min()
+        if best is not None and room >= 2 * radius - 0.01:
+            return best
+    return None
 
 
 def jittered(rng: np.random.Generator, places: np.ndarray, radius: float, length: float) -> np.ndarray:
     """`places` (N, 2) [m] of a lattice on a ring of `length` [m], each moved a little, as far as there is room, and all
     turned along it."""
-    offset = places[None] - places[:, None]
-    offset[..., 1] -= length * np.round(offset[..., 1] / length)
-    distance = np.linalg.norm(offset, axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    free = min(JITTER, max(0.0, (distance.min() - 2 * radius) / 2 - 0.005))
+    free = min(JITTER, max(0.0, (_apart(places, length)[1].min() - 2 * radius) / 2 - 0.005))
     moved = places + rng.uniform(-free, free, places.shape) / math.sqrt(2)
     moved[:, 1] = (moved[:, 1] + rng.uniform(0.0, length)) % length
     return moved
+
+
+def crowded(number: int, width: float, length: float, radius: float, rng: np.random.Generator) -> np.ndarray:
+    """`number` places (N, 2) [m] in a corridor, y from 0 to `length` [m], or to more where broad people need it."""
+    while (places := lattice(number, width, length, radius)) is None:
+        length *= 1.1
+    return jittered(rng, places, radius, length)
 
 
 def _wall(x0, y0, x1, y1):
@@ -107,11 +127,8 @@ def exit_layout(place: Bottleneck, length: float) -> Layout:
 
 def exit_cast(place: Bottleneck, number: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
     """A crowd of `number` people at rest in a corridor before its exit. speed: as of `flows`."""
-    length = number / (START_DENSITY * place.width)
-    places = lattice(number, place.width, length, body.radius)
-    if places is None:
-        raise ValueError(f"no room for {number} people of radius {body.radius:g} m before an exit")
-    places = jittered(rng, places, body.radius, length) + [0.0, place.exit_y + body.radius + 0.2]
+    places = crowded(number, place.width, number / (START_DENSITY * place.width), body.radius, rng)
+    places = places + np.array([0.0, place.exit_y + body.radius + 0.2])
     room = max(0.0, place.exit / 2 - body.radius)
     middle = place.width / 2
     goals = np.stack([middle + np.clip(places[:, 0] - middle, -room, room), np.full(number, place.exit_y - BEYOND)], -1)
@@ -124,13 +141,18 @@ def ring_layout() -> Layout:
 
 
 def ring_cast(density: float, body: Body, rng: np.random.Generator, speed: Callable) -> Cast | None:
-    """People at rest at `density` [1/m2] on the ring, who all go one way; None where bodies have no room."""
+    """People at `density` [1/m2] on the ring, who all go one way, at first about as fast as people do; None where
+    bodies have no room. Where one person more or less is easier to arrange, it is that many."""
     number = round(density * RING * RING_WIDTH)
-    places = lattice(number, RING_WIDTH, RING, body.radius)
+    found = (lattice(many, RING_WIDTH, RING, body.radius) for many in (number, number + 1, number - 1))
+    places = next((each for each in found if each is not None), None)
     if places is None:
         return None
-    places = jittered(rng, places, body.radius, RING) - [0.0, RING / 2]
-    return _cast(places, places - [0.0, 10.0], np.zeros((number, 2)), speed(number), SETTLES + RUNS)
+    places = jittered(rng, places, body.radius, RING) - np.array([0.0, RING / 2])
+    ahead = np.tile([0.0, -1.0], (len(places), 1))
+    return _cast(
+        places, places + 10.0 * ahead, max(0.5, 1.7 - 0.5 * density) * ahead, speed(len(places)), SETTLES + RUNS
+    )
 
 
 def two_ways_layout() -> Layout:
@@ -140,13 +162,13 @@ def two_ways_layout() -> Layout:
 
 
 def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
-    """`side` people on each side, at half the density that both together are to have in the middle, who start towards
-    each other. The first half of the cast goes towards greater y."""
-    density = figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
+    """`side` people on each side, at rest, who start towards each other. The first half of the cast goes towards
+    greater y. As a crowd draws out on its way, it begins denser than half of what both together are to be in the middle."""
+    density = DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
     length = side / (density * CORRIDOR.width)
     places, goals = [], []
     for way in (1.0, -1.0):
-        own = jittered(rng, lattice(side, CORRIDOR.width, length, body.radius), body.radius, length)
+        own = crowded(side, CORRIDOR.width, length, body.radius, rng)
         own[:, 1] = -way * (own[:, 1] + CORRIDOR.half / 2)
         places.append(own)
         goals.append(np.stack([own[:, 0], np.full(side, way * (CORRIDOR.half + BEYOND))], axis=-1))
@@ -186,8 +208,9 @@ def flows(
     values, curves, smooth = ([{} for _ in seeds], [{} for _ in seeds], [[] for _ in seeds])
     for place, number in zip(EXIT_PLACES, EXIT_PEOPLE, strict=True):
         tell(f"exit of {place.exit:g} m: {number} people")
-        layout = exit_layout(place, number / (START_DENSITY * place.width) + 2.0)
-        for index, (walks,) in enumerate(play(layout, lambda rng, own: [exit_cast(place, number, body, rng, own)])):
+        layout = exit_layout(place, 2.0 * number / (START_DENSITY * place.width) + 2.0)
+        crowd = functools.partial(exit_cast, place, number, body)
+        for index, (walks,) in enumerate(play(layout, lambda rng, own, crowd=crowd: [crowd(rng, own)])):
             times = measures.crossing_times(walks, LAB_PERIOD, place.exit_y)
             values[index][f"exit{place.exit:g}"] = measures.flow(times, place.exit, number, LONGEST)
             smooth[index].append(measures.people(walks, LAB_PERIOD).smoothness)

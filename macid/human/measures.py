@@ -92,8 +92,8 @@ def people(position: np.ndarray, period: float) -> Person:
         speed, path = ways / STRIDE, ways.sum()
         straight = np.linalg.norm(own[-1] - own[0]) / path if path > 0 else np.nan
         rows.append([speed.mean(), speed.std(), straight, np.abs(np.diff(speed)).mean() / STRIDE])
-    found = np.array(rows).reshape(-1, 4).T
-    return Person(*found, found[0] > STANDS)
+    speed, within, straightness, smoothness = np.array(rows).reshape(-1, 4).T
+    return Person(speed, within, straightness, smoothness, speed > STANDS)
 
 
 def time_to_collision(apart: np.ndarray, velocity: np.ndarray, centres: float = CENTRES) -> np.ndarray:
@@ -142,7 +142,7 @@ class Meetings(NamedTuple):
     @classmethod
     def added(cls, several: Iterable["Meetings"]) -> "Meetings":
         """All of them together."""
-        return cls(*(sum(parts) for parts in zip(*several, strict=True)))
+        return cls(*(np.sum(parts, axis=0) for parts in zip(*several, strict=True)))
 
     @property
     def soon_share(self) -> float:
@@ -181,8 +181,9 @@ def _counted(times):
 
 
 def meetings(position: np.ndarray, velocity: np.ndarray, known: np.ndarray) -> Meetings:
-    """Pairs of people in one scene, from everybody's positions and velocities (T, K, 2) [m, m/s] every STRIDE, NaN where
-    somebody is not there. known: (K, K) bool, pairs who are no strangers. Both pairs, a with b and b with a, count.
+    """Pairs of people in one scene, from everybody's positions and velocities (T, K, 2) [m, m/s] every STRIDE, NaN
+    where somebody is not there. known: (K, K) bool, pairs who are no strangers. A pair counts from both
+    sides.
 
     Strangers who overlap are on a collision course, too, but have no time to collision."""
     there = [np.flatnonzero(row) for row in ~np.isnan(position[..., 0] + velocity[..., 0])]

@@ -5,6 +5,7 @@ was last seen. People who stood are moved as they stood. A scene is divided into
 begins a little before its time, with the people who were there then, and counts the people who come in it.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,8 +19,8 @@ from macid.pedestrians import Controller
 
 WINDOW = 90.0  # [s]
 WARM_UP = 8.0  # before a window: people who were there go on from where they were [s]
-LATE = 10.0  # how long after its real one was last seen a person may still walk [s]
-LONGEST = 40.0  # played after a window for the people who came in it, at most [s]
+LATE = 6.0  # how long after its real one was last seen a person may still walk [s]
+LONGEST = 30.0  # played after a window for the people who came in it, at most [s]
 _MARGIN = 10.0  # between the outermost place and the map's edge [m]
 
 
@@ -27,14 +28,9 @@ class Scene:
     """An open scene of P real people, each seen LEAST_SAMPLES times or more, every OPEN_PERIOD."""
 
     def __init__(self, walks: Walks):
-        seen = ~np.isnan(walks.position[..., 0])
-        if abs(walks.period - OPEN_PERIOD) > 1e-9:
-            walks_position = measures.strides(walks.position, walks.period)
-            seen = ~np.isnan(walks_position[..., 0])
-        else:
-            walks_position = walks.position
         self.name = walks.name
-        position = walks_position[:, seen.sum(axis=0) >= measures.LEAST_SAMPLES]
+        position = measures.strides(walks.position, walks.period)
+        position = position[:, (~np.isnan(position[..., 0])).sum(axis=0) >= measures.LEAST_SAMPLES]
         low, high = np.nanmin(position, axis=(0, 1)), np.nanmax(position, axis=(0, 1))
         self.position = position - (low + high) / 2  # (T, P, 2) [m], around the origin
         self.reach = float((high - low).max() / 2)  # [m]
@@ -74,7 +70,7 @@ def windows(scenes: list[Scene]) -> list[Window]:
         samples = len(scene.position)
         parts = max(1, round(samples * OPEN_PERIOD / WINDOW))
         edges = np.linspace(0, samples, parts + 1).round().astype(int)
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in itertools.pairwise(edges):
             start = max(0, begin - warm)
             counted = (scene.first >= begin) & (scene.first < end) & ~scene.stands
             needed = int(scene.last[counted].max(initial=end - 1)) + 1 + late
@@ -120,7 +116,7 @@ def play(
     first; a controller may tell them apart by that. Raises UsageError where physics fails."""
     parts = windows(scenes)
     groups = _batches(parts)
-    found = [[None] * len(parts) for _ in speeds]
+    found = [{} for _ in speeds]
     size = 2 * (max(scene.reach for scene in scenes) + _MARGIN)
     for group in groups:
         casts = [cast(scenes[parts[i].scene], parts[i], each[parts[i].scene]) for each in speeds for i in group]
@@ -130,7 +126,7 @@ def play(
         played = stage.play(OPEN_PERIOD)
         for number, walks in enumerate(played):
             found[number // len(group)][group[number % len(group)]] = walks
-    return [gather(scenes, parts, each) for each in found]
+    return [gather(scenes, parts, [each[number] for number in range(len(parts))]) for each in found]
 
 
 def _batches(parts):

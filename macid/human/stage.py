@@ -1,7 +1,7 @@
 """Any pedestrian model on a layout where people come and go in the middle of the play.
 
-Each world has its own cast. Everybody comes at its time and place, with its velocity, and leaves at its goal or when its
-time is over. A slot of the engine's serves one person after the other; whoever is not there stands far away.
+Each world has its own cast. Everybody comes at its time and place, with its velocity, and leaves at its goal or when
+its time is over. A slot of the engine's serves one person after the other; whoever is not there stands far away.
 """
 
 import dataclasses
@@ -91,8 +91,8 @@ class Stage:
         self._away = jnp.asarray(parking_place(np.arange(self.bodies)), jnp.float32)
 
     def play(self, sample: float) -> list[np.ndarray]:
-        """Where everybody is every `sample` [s]: of each world, positions (T, P, 2) [m], NaN where somebody is not there.
-        Raises UsageError where physics fails."""
+        """Where everybody is every `sample` [s]: of each world, positions (T, P, 2) [m], NaN where somebody is not
+        there. Raises UsageError where physics fails."""
         (state, *_), (position, who) = jax.jit(self._run)(self._timed)
         if faults := [what for what in self.engine.faults(state) if what]:
             raise UsageError(f"Physics failed: {faults[0]}.")
@@ -107,7 +107,8 @@ class Stage:
         return jnp.asarray(found)
 
     def _schedule(self):
-        """Who comes and goes in which slot, a _Timed: a slot is free for the next one once its person's time is over."""
+        """Who comes and goes in which slot, a _Timed: a slot is free for the next one once its person's time is
+        over."""
         spans = [
             (
                 np.clip(np.ceil(cast.comes / self.period - 1e-6), 0, self._steps - 1).astype(int),
@@ -136,15 +137,6 @@ class Stage:
                 found[: len(walk), world, : walk.shape[1]] = walk
         return jnp.asarray(found)
 
-    def _walked(self, number):
-        """Where people are who are moved, in decision `number`: (nworld, people, 2) [m], NaN of all others."""
-        exact = number * (self.period / STEP) + 1e-4
-        before = jnp.minimum(jnp.floor(exact).astype(int), len(self._walk) - 1)
-        after = jnp.minimum(before + 1, len(self._walk) - 1)
-        share = jnp.maximum(exact - before - 1e-4, 0.0)
-        along = self._walk[before] * (1.0 - share) + self._walk[after] * share
-        return jnp.where(share > 1e-3, along, self._walk[before])
-
     def _run(self, timed):
         worlds = len(self.casts)
         start = self.engine.init(
@@ -170,7 +162,7 @@ class Stage:
         led = jnp.zeros_like(there)
         where, moved = jnp.where(new[..., None], start, self._away[: self.number]), new | timed.ends
         if self._walk is not None:
-            walk = self._walked(timed.number)[each, own]
+            walk = _along(self._walk, timed.number * (self.period / STEP))[each, own]
             led = there & ~jnp.isnan(walk[..., 0])
             where, moved = jnp.where(led[..., None], walk, where), moved | led
         towards = jnp.where(norm(entry)[..., None] > 1e-3, entry, goal - start)
@@ -248,6 +240,15 @@ def sampled(walks: np.ndarray, times: np.ndarray, wanted: np.ndarray) -> np.ndar
     found = np.where(share > 0, walks[before] * (1 - share) + walks[after] * share, walks[before])
     found[exact > len(times) - 1 + 1e-3] = np.nan
     return found
+
+
+def _along(walk, exact):
+    """Places of `walk` (T, nworld, people, 2) [m] at the step `exact`, not always a whole number; NaN where there is
+    none."""
+    before = jnp.minimum(jnp.floor(exact + 1e-4).astype(int), len(walk) - 1)
+    after = jnp.minimum(before + 1, len(walk) - 1)
+    share = exact - before
+    return jnp.where(share > 1e-3, walk[before] * (1.0 - share) + walk[after] * share, walk[before])
 
 
 def _slots(first, last):

@@ -1,7 +1,8 @@
 """Pedestrian models behind one call: `controller(state, boxes, goals, lcf) -> command`.
 
-state: CrowdState (..., K); boxes: (..., B, 5) rows of `geometry.BOX_COLUMNS`; goals: (..., K, 2) [m]; lcf: (..., K).
-command: (..., K, 3), world-frame velocity [m/s] and yaw rate [rad/s], for the controller's `period` [s].
+state: CrowdState (..., K), whose `traits` tell radii, preferred and maximum speeds and groups where these are not the
+paper's; a model heeds what it knows of. boxes: (..., B, 5) rows of `geometry.BOX_COLUMNS`; goals: (..., K, 2) [m];
+lcf: (..., K). command: (..., K, 3), world-frame velocity [m/s] and yaw rate [rad/s], for the controller's `period` [s].
 
 Names and files are checked without JAX, which the models are made of and which takes long to load.
 """

@@ -7,6 +7,7 @@ velocity is either the one asked for or the best point of one of the lines: no l
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ def _dot(a, b):
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
-def _behind(value, axes):
+def _behind(value: Any, axes: int) -> Any:
     """`value`, a number, or an array (...) with `axes` more axes behind its own."""
     return value if np.isscalar(value) else jnp.expand_dims(value, tuple(range(-axes, 0)))
 
@@ -298,8 +299,8 @@ class ORCA:
             shape = (*position.shape[:-1], 0)
             return jnp.zeros((*shape, 2)), jnp.zeros(shape)
         boxes = boxes.reshape((1,) * (position.ndim - boxes.ndim) + boxes.shape)
-        radius = (self.radius if radius is None else radius) + self.margin
-        max_speed = self.max_speed if max_speed is None else max_speed
+        wide: Any = (self.radius if radius is None else radius) + self.margin
+        top_speed: Any = self.max_speed if max_speed is None else max_speed
         distance, away = away_from_boxes(position, boxes[..., None, :, :])
         negative, index = jax.lax.top_k(-distance, count)
         distance, away = -negative, jnp.take_along_axis(away, index[..., None], axis=-2)
@@ -315,16 +316,16 @@ class ORCA:
         side = jnp.stack([axis, left_of(axis), -axis, -left_of(axis)], axis=-2)
         arc = unit(v - corner / self.obstacle_horizon)
         squared = _dot(corner, corner)
-        leg = jnp.sqrt(jnp.maximum(squared - _behind(radius**2, 2), 0.0))[..., None] * left_of(corner)
-        back, squared = -_behind(radius, 3) * corner, jnp.maximum(squared, _behind(radius**2, 2))[..., None]
+        leg = jnp.sqrt(jnp.maximum(squared - _behind(wide**2, 2), 0.0))[..., None] * left_of(corner)
+        back, squared = -_behind(wide, 3) * corner, jnp.maximum(squared, _behind(wide**2, 2))[..., None]
         tangent = jnp.concatenate([(back + leg) / squared, (back - leg) / squared], axis=-2)
         normal = jnp.concatenate([away[..., None, :], side, arc, tangent], axis=-2)  # (..., K, M, 17, 2)
-        reach = jnp.max(_dot(normal[..., :, None, :], corner[..., None, :, :]), axis=-1) + _behind(radius, 2)  # h(n)
+        reach = jnp.max(_dot(normal[..., :, None, :], corner[..., None, :, :]), axis=-1) + _behind(wide, 2)  # h(n)
 
         is_normal = jnp.abs(_dot(normal, normal) - 1.0) < 1e-3
         outside = _dot(normal, v) - reach / self.obstacle_horizon
         outside = jnp.where(is_normal & (reach <= 1e-4), outside, -jnp.inf)
         best = jnp.argmax(outside, axis=-1)  # the first, away from the closest point, where there is none
         offset = jnp.minimum(jnp.take_along_axis(reach, best[..., None], axis=-1)[..., 0], 0.0) / self.obstacle_horizon
-        in_reach = distance < _behind(self.obstacle_horizon * max_speed + radius, 1)
+        in_reach = distance < _behind(self.obstacle_horizon * top_speed + wide, 1)
         return _select(normal, best), jnp.where(in_reach, offset, NO_LIMIT)

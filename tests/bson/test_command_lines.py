@@ -61,7 +61,7 @@ BSON = {
     "evaluate": {
         "--agent": ["stop", "goal", "good.py"], "--track": ["local", "global"], "--sensor": ["lidar2d"],
         "--suite": ["smoke"], "--episodes": ["1"], "--seed": ["0", "3"], "--videos": ["0"], "--out": ["out", "new/out"],
-        "--resume": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"],
+        "--resume": None, "--record": None, "--executor": ["local"], "--ray-address": ["auto"], "--workers": ["2"],
     },
     "render": {"--agent": ["stop"], "--seed": ["0"], "--step": ["0", "-1"], "--out": ["a.png", "b.gif"]},
     "export": {"--track": ["global"], "--sensor": ["camera"], "--seed": ["0"], "--suite": ["smoke"], "--cell": ["all"],
@@ -72,7 +72,10 @@ BSON = {
         "--out": ["runs"],
               "--resume": None, "--tensorboard": None},
     "bench": {"--pedestrians": ["2"], "--worlds": ["1"], "--sensors": ["none"], "--seconds": ["0.1"],
-              "--pedestrian-model": ["orca"], "--out": ["b.json"], "--train": ["ppo"]},
+              "--pedestrian-model": ["orca"], "--out": ["b.json"], "--train": ["ppo"], "--record": None},
+    "record": {"--agent": ["stop"], "--seed": ["0"], "--suite": ["smoke"], "--episodes": ["1"], "--twist": None,
+               "--out": ["out", "new/out"]},
+    "replay": {"--out": ["out"]},
     "list": {}, "demo": {"--episodes": ["0"]}, "nothing": {},
 }  # fmt: skip
 MACID = {
@@ -106,12 +109,14 @@ def command_lines(draw, commands, program):
     words, flags = [command], commands[command]
     if program == "bson" and command in ("evaluate", "demo"):
         words += TINY
-    if program == "bson" and command in ("evaluate", "demo", "render", "export", "train"):
+    if command == "record":
+        words += ["--out", "out", "--agent", "stop"]
+    if program == "bson" and command in ("evaluate", "demo", "render", "record", "export", "train"):
         words += SETS
         for _ in range(draw(st.integers(0, 2))):
             value = draw(st.one_of(st.sampled_from(VALUES), st.sampled_from(BROKEN), st.text(max_size=5)))
             words += ["--set", f"{draw(st.sampled_from(KEYS))}={value}"]
-    if command in ("compare", "leaderboard"):
+    if command in ("compare", "leaderboard", "replay"):
         words += draw(
             st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3)
         )
@@ -153,6 +158,7 @@ def place(tmp_path_factory):
         patch.setattr(macid.learning.train, "train", train)
         patch.setattr(macid.bench, "measure", lambda config, seconds: (1.0, 1.0))
         patch.setattr(bson.bench, "measure_speed", lambda config, sensors, nworld, seconds: (1.0, 0.5))
+        patch.setattr(bson.bench, "measure_recording", lambda config, sensors, seconds: (1.0, 1))
         patch.setattr(bson.bench, "measure_learning", lambda algo, config, nworld, seconds: (1.0, 0.5, 0.5))
         with contextlib.suppress(ImportError):
             import bson.learning.train as learning

@@ -95,6 +95,25 @@ def test_equal_commands_lead_to_the_same_places(env):
     assert not states.overflow.any()
 
 
+@pytest.mark.slow
+def test_slim_people_with_speeds_of_their_own_and_companions_move_alike():
+    people = {"person_radius": 0.2, "preferred_speed": "human", "person_max_speed": 2.0, "companions": 0.6}
+    env = BsonFuncEnv("local", "lidar2d", 2, seed=SEED, pool=2, **CONFIG | people | {"num_pedestrians": 6})
+    states = jax.jit(jax.vmap(env.initial, in_axes=(0, None)))(jnp.arange(2), env.default_params)
+    step, (session, wanted) = jax.jit(jax.vmap(env.transition)), _native(env, 2)
+    np.testing.assert_allclose(_observed(env, states)["lidar"], wanted["lidar"], atol=1e-4)
+    np.testing.assert_allclose(states.drawn.traits.preferred_speed[0], session.world.traits(0).preferred_speed)
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        action = rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
+        states = step(states, action)
+        session.step(np.arange(2), action)
+    world = session.world
+    places = states.motion.qpos[:, : 3 * 6].reshape(2, 6, 3)
+    np.testing.assert_allclose(places[..., :2], world.people[..., :2], atol=1e-2)
+    np.testing.assert_allclose(states.nearest_person, world.nearest_person, atol=1e-2)
+
+
 def _placed(states, session, pose, people=None):
     """Both engines' worlds with the robot at `pose` (3,), and the people at `people` (K, 2), all at rest."""
     world = session.world

@@ -146,6 +146,13 @@ def test_place_puts_people_at_rest_and_leaves_the_others(name, request):
     for field in ("position", "velocity", "yaw_rate"):
         np.testing.assert_array_equal(np.asarray(getattr(after, field))[~who], np.asarray(getattr(before, field))[~who])
     np.testing.assert_array_equal(after.yaw, before.yaw)
+    coming, facing = np.full((2, NUMBER, 2), [0.6, -0.8]), np.full((2, NUMBER), 0.5)
+    came = engine.read(jax.jit(engine.place)(worlds.end, who, away, coming, facing))
+    for field, there in (("velocity", [0.6, -0.8]), ("yaw", 0.5), ("yaw_rate", 0.0)):
+        one, other = (np.asarray(getattr(each, field)) for each in (before, came))
+        np.testing.assert_allclose(other[who], np.broadcast_to(there, other[who].shape), atol=1e-6)
+        np.testing.assert_array_equal(other[~who], one[~who])
+    np.testing.assert_array_equal(came.position, after.position)
     warmstart = np.asarray(placed.qacc_warmstart).reshape(2, NUMBER, 3)
     assert not warmstart[who].any() and warmstart[~who].any()
 

@@ -86,7 +86,7 @@ def test_eth_with_ten_frames_a_step_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("change", "line", "reason"),
     [
-        (lambda lines: lines[:4] + ["0 1 2"] + lines[5:], 5, "3 columns"),
+        (lambda lines: [*lines[:4], "0 1 2", *lines[5:]], 5, "3 columns"),
         (lambda lines: [*lines[:6], "70 0 1.0 word", *lines[7:]], 7, "'word' is no number"),
         (lambda lines: [*lines[:6], "70 0 nan 1.0", *lines[7:]], 7, "not finite"),
         (lambda lines: [*lines[:6], "70.5 0 1.0 1.0", *lines[7:]], 7, "no whole number"),

@@ -162,7 +162,7 @@ def test_perfect_lanes_give_one_and_shuffled_ones_chance():
 def test_errors_are_distances_and_who_has_arrived_stands_there():
     real = walks(straight((0, 0), (1.0, 0), 11), straight((0, 5), (1.0, 0), 11))
     assert measures.displacement_errors(real, real) == (0.0, 0.0)
-    assert measures.displacement_errors(real + [3.0, 4.0], real) == pytest.approx((5.0, 5.0))
+    assert measures.displacement_errors(real + np.array([3.0, 4.0]), real) == pytest.approx((5.0, 5.0))
     early = real.copy()
     early[6:, 0] = np.nan
     ade, fde = measures.displacement_errors(early, real)
