@@ -23,7 +23,7 @@ from macid.files import UsageError
 from macid.geometry import Array
 from macid.networks import ENCODER, check_layers, mlp, write_network
 from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
-from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
+from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, RADII, TOP_SPEED, physics_steps
 
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
@@ -309,6 +309,9 @@ def _made(path, weights, recipe):
 _Name = Annotated[str, msgspec.Meta(pattern=r"^[ -~]{1,200}\Z")]  # on one line of any terminal
 
 
+_Speed = Annotated[float, msgspec.Meta(gt=0, le=TOP_SPEED)]
+
+
 class _Recipe(msgspec.Struct):
     """The keys of a pedestrian policy's recipe that are read. All other keys were noted for people."""
 
@@ -317,6 +320,9 @@ class _Recipe(msgspec.Struct):
     seed: int | msgspec.UnsetType = msgspec.UNSET
     inputs: Literal["features", "observation", "encounters"] | msgspec.UnsetType = msgspec.UNSET  # INPUTS, ENCOUNTERS
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
+    radius: Annotated[float, msgspec.Meta(ge=RADII[0], le=RADII[1])] | msgspec.UnsetType = msgspec.UNSET  # [m]
+    preferred_speed: Literal["human"] | _Speed | msgspec.UnsetType = msgspec.UNSET  # as of macid.traits
+    max_speed: _Speed | msgspec.UnsetType = msgspec.UNSET  # [m/s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
 

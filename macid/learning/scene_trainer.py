@@ -2,9 +2,9 @@
 
 Each person's cost follows from its own state, given everybody else's course: the gradient of that cost goes back
 through the person's own decisions alone, and so each learns its best answer to the others, as in independent PPO (eq.
-3), with a gradient in place of an estimate from samples (Freeman et al. 2021, Brax; Xu et al. 2022, SHAC). The states are those of
-the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient), which holds
-but for contacts.
+3), with a gradient in place of an estimate from samples (Freeman et al. 2021, Brax; Xu et al. 2022, SHAC). The states
+are those of the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient),
+which holds but for contacts.
 
 What a person wants, per second (`Costs`): to walk at its preferred speed to its goal; not to change its velocity; and,
 with the weight 1 + care LCF, not to come close to a collision and not to touch. A collision course costs both people
@@ -32,6 +32,7 @@ from macid.learning.state import SEEDS, TrainState
 from macid.pedestrians.learned import goal_command
 from macid.policy import HIDDEN
 from macid.state import TOP_SPEED, CrowdState, Traits, physics_steps
+from macid.traits import HUMAN, HUMAN_RANGE, HUMAN_SPEED
 
 _CROWDS = 48  # beginnings of each scene from which episodes are drawn
 _HOLD = jax.lax.stop_gradient
@@ -43,7 +44,7 @@ class SceneConfig:
 
     radius: float = 0.2  # of a body [m]
     companions: float = 0.5  # share of people who walk in pairs and threes
-    speeds: tuple[float, float, float, float] = (1.34, 0.36, 0.4, 2.0)  # preferred: mean, SD, least and most [m/s]
+    speeds: tuple[float, float, float, float] = (*HUMAN_SPEED, *HUMAN_RANGE)  # preferred: mean, SD, least, most [m/s]
     care: float = 0.5  # how much an LCF of 1 adds to the weight of others' costs
     noise: float = 0.1  # in the actions, so that people see more than one course
     learning_rate: float = 1.5e-3
@@ -51,13 +52,13 @@ class SceneConfig:
     most_gradient: float = 1.0  # of a person's cost, after its state at a decision
     pace: float = 2.0  # of the squared difference of the velocity from the preferred one, in its share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 0.5  # of the energy of collision courses
+    meet: float = 1.5  # of the energy of collision courses
     reach: float = 0.0  # by which bodies are widened there [m]
     blur: float = 0.1  # by how much two bodies that just miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
-    touch: float = 2.0  # of each body or wall that is touched
-    headway: float = 8.0  # of the squared room that is missing behind a person who walks ahead [m2]
-    headway_time: float = 0.6  # by which that room grows with one's speed [s]; 1.06 in single file (Seyfried et al. 2005)
+    touch: float = 1.5  # of bodies and walls that are touched
+    headway: float = 2.0  # of the squared room that is missing behind a person who walks ahead [m2]
+    headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 
 
@@ -141,11 +142,17 @@ def costs(
     return {
         "pace": jnp.sum(wanted**2, axis=-1),
         "change": jnp.sum((after.velocity - before.velocity) ** 2, axis=-1) / period**2,
-        "meet": jnp.sum(jnp.minimum(energy, 6.0), axis=-1),
-        "headway": jnp.sum(aside * missing**2, axis=-1),
-        "touch": jnp.sum(overlap, axis=-1) + _near(wall),
+        "meet": _bounded(jnp.sum(energy, axis=-1)),
+        "headway": _bounded(jnp.sum(aside * missing**2, axis=-1)),
+        "touch": _bounded(jnp.sum(overlap, axis=-1) + _near(wall)),
         "apart": jnp.sum(companions * beyond, axis=-1) / jnp.maximum(jnp.sum(companions, axis=-1), 1),
     }
+
+
+def _bounded(cost):
+    """`cost` where it is small, never more than 1: in a crowd, where many bodies are near, to stand still must not cost
+    less than to walk, or everybody does."""
+    return cost / (1.0 + cost)
 
 
 _TOUCHING = 0.06  # gap at which touching begins to cost [m]
@@ -310,7 +317,9 @@ class SceneTrainer:
             each.engine.check()
 
     def policy(self, state: TrainState, recipe: dict[str, Any]) -> EncounterPolicy:
-        """The EncounterPolicy of a TrainState."""
+        """The EncounterPolicy of a TrainState, for bodies and speeds as in the training."""
+        body = {"radius": self.config.scenes.radius, "preferred_speed": HUMAN, "max_speed": TOP_SPEED}
+        recipe = {**recipe, **body}
         plain = jax.tree.map(np.asarray, state.parameters)
         head, person = (tuple((w, b) for w, b in plain[name]) for name in ("head", "person"))
         return EncounterPolicy(head, recipe, person)
