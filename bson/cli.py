@@ -17,6 +17,7 @@ from macid.command import (
     MOST_TRAINING_SEED,
     MOST_WORLDS,
     Parser,
+    add_address,
     add_executor,
     check_words,
     name,
@@ -161,6 +162,28 @@ def _render(args):
         untrained=args.untrained_setting,
     )
     print(f"Written: {path}")
+    return 0
+
+
+def _live(args):
+    from bson import benchmark
+
+    benchmark.live(
+        args.agent,
+        args.out,
+        suite=args.suite,
+        cell=args.cell,
+        seed=args.seed,
+        track=args.track,
+        sensor=args.sensor,
+        overrides=_overrides(args.set),
+        untrained=args.untrained_setting,
+        host=args.host,
+        port=args.port,
+        token=args.token,
+        stays=args.stay,
+        command=_words(args.argv),
+    )
     return 0
 
 
@@ -422,10 +445,9 @@ def _list(args):
     return 0
 
 
-def _add_setting(command, agent: str | None = "vfh"):
-    several = "" if agent else " (default: three datasets: tac as expert, ppo-paper as medium, and random)"
+def _add_setting(command, agent: str | None = "vfh", more: str = ""):
     command.add_argument(
-        "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{several}"
+        "--agent", type=name, default=agent, help=f"a name (bson list), module:function, or file.py[:function]{more}"
     )
     command.add_argument("--track", type=name, default=None, help="local or global (default: what the agent wants)")
     command.add_argument("--sensor", type=name, default=None, help="lidar2d, ... (default: what the agent wants)")
@@ -558,6 +580,21 @@ def parser() -> Parser:
     render.add_argument("--out", type=name, default="episode.webm", help="a .webm film, or a .png picture")
     render.set_defaults(run=_render)
 
+    live = commands.add_parser(
+        "live", help="a page to drive in, in 3D; what a person drives is scored (extra `live`)", **defaults
+    )
+    _add_setting(live, None, "; it drives at first, and you take over with the keys (default: you drive)")
+    live.add_argument("--suite", type=name, default=None, help="drive its settings and seeds (bson list)")
+    live.add_argument("--cell", type=name, default=None, help="the first setting, of a suite with several")
+    live.number(
+        "--seed", int, 0, 9 * 10**12, default=0, help="the first one; with --suite, as of evaluate: 0 for its own seeds"
+    )
+    live.add_argument(
+        "--out", type=name, default="human", help="folder for results.json of what you drove, and for the episodes"
+    )
+    add_address(live)
+    live.set_defaults(run=_live)
+
     record = commands.add_parser(
         "record", help="write episodes to rosbag2 folders with MCAP storage (extra `record`)", **defaults
     )
@@ -623,7 +660,7 @@ def parser() -> Parser:
     dataset = commands.add_parser(
         "dataset", help="write episodes to a Minari dataset, for offline learning (extra `data`)", **defaults
     )
-    _add_setting(dataset, agent=None)
+    _add_setting(dataset, None, " (default: three datasets: tac as expert, ppo-paper as medium, and random)")
     dataset.add_argument("--suite", type=name, default="paper", help="a name (bson list)")
     dataset.add_argument("--cell", type=name, default=None, help="only this cell of the suite")
     dataset.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from macid import start
 from macid.executors import Executor, make_executor
 from macid.files import UsageError, check_file, check_folder, new_folder, write_json
@@ -143,6 +145,39 @@ def watch(
 
                 watch.film(recording, path, speed, follow, scale, progress)
     return path
+
+
+def live(
+    pedestrian: str = "macid",
+    *,
+    level: int | str = 2,
+    people: int | None = None,
+    lcf: tuple[float, float] | None = None,
+    seed: int = 0,
+    period: float | None = None,
+    leave: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str | None = None,
+    stays: bool = False,
+) -> None:
+    """Serves pages in which a crowd walks, as `macid live` does; returns once the last page has been closed.
+
+    people: how many (default: the level's own). leave: whether a person who arrives leaves the map, as in `evaluate`,
+    instead of walking on to a new goal. host, port, token: where to listen, see macid.live.server.Server. stays: also
+    without pages. The rest as of `evaluate`. Raises UsageError.
+    """
+    from macid.live.server import check_address, load_viser, serve
+
+    check_address(host, token)
+    load_viser()
+    from macid.layout import load_level, sample_people
+    from macid.live.crowd import CrowdPage, CrowdSetting
+
+    setting = CrowdSetting(pedestrian, level, people, lcf, period, not leave)
+    config = setting.config  # raises where a part of it is not valid
+    sample_people(np.random.default_rng(seed), load_level(level), config.number)  # raises where there is no room
+    serve(lambda client: CrowdPage(client, setting, seed), "macid live", host, port, token, stays)
 
 
 def train(

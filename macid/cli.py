@@ -16,6 +16,7 @@ from macid.command import (
     MOST_WORLDS,
     PERIOD,
     Parser,
+    add_address,
     add_executor,
     check_words,
     name,
@@ -150,6 +151,25 @@ def _watch(args):
     return 0
 
 
+def _live(args):
+    from macid import benchmark
+
+    benchmark.live(
+        args.pedestrian,
+        level=args.level,
+        people=args.people,
+        lcf=args.lcf,
+        seed=args.seed,
+        period=args.period,
+        leave=args.leave,
+        host=args.host,
+        port=args.port,
+        token=args.token,
+        stays=args.stay,
+    )
+    return 0
+
+
 def _export(args):
     from macid.crowd import CrowdConfig
     from macid.evaluate import level_seed
@@ -254,15 +274,9 @@ def _human_measure(args):
     engine, note = _chosen(args)
     if args.lcf is not None and len(args.lcf) > 2:
         raise UsageError(f"--lcf takes one LCF, or the least and the greatest, not {len(args.lcf)} numbers.")
-    speed = args.preferred_speed
-    if speed is not None and speed != "human":
-        try:
-            speed = float(speed)
-        except ValueError:
-            raise UsageError(f"--preferred-speed must be a number [m/s] or human, not '{speed}'.") from None
     options = Options(
         radius=args.radius,
-        preferred_speed=speed,
+        preferred_speed=args.preferred_speed,
         max_speed=args.max_speed,
         lcf=None if args.lcf is None else (args.lcf[0], args.lcf[-1]),
         period=args.period,
@@ -326,6 +340,25 @@ def parser() -> Parser:
     watch.add_argument("--scale", type=float, default=0.75, help="of the picture: 1 is 1500 x 760")
     watch.add_argument("--out", type=name, default="crowd.webm", help="a .webm film, or a .png picture")
     watch.set_defaults(run=_watch)
+
+    live = commands.add_parser(
+        "live",
+        help="a page with a crowd in 3D, whose LCFs are turned while it walks (extra `live`)",
+        formatter_class=HelpFormatter,
+    )
+    live.add_argument("--pedestrian", type=name, default="macid", help=models)
+    live.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
+    live.number("--people", int, 1, 500, default=None, help="(default: the level's)")
+    live.add_argument(
+        "--lcf", type=float, nargs=2, default=None, metavar=("LO", "HI"), help="range of LCFs (default: Table II's)"
+    )
+    live.number("--seed", int, 0, MOST_SEED, default=0, help="the episode of 'evaluate --episodes 1' with this seed")
+    live.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
+    live.add_argument(
+        "--leave", action="store_true", help="a person who arrives leaves, as in evaluate, instead of walking on"
+    )
+    add_address(live)
+    live.set_defaults(run=_live)
 
     export = commands.add_parser(
         "export",
@@ -400,16 +433,16 @@ def parser() -> Parser:
     )
     measure.add_argument("--pedestrian", type=name, required=True, help=f"{models}; or a file of people's walks")
     measure.add_argument("--data", type=name, default=None, metavar="DIR", help="people's files, to be replayed")
-    measure.number("--radius", float, 0.0, 10.0, above=True, help="everybody's [m] (default: the policy's, or 0.35)")
+    measure.number("--radius", float, *RADII, help="of people [m] (default: the policy's own, or 0.35)")
     measure.number("--seeds", int, 1, MOST_SEEDS, default=3, help="a method's policies, or runs")
     measure.number(
         "--lcf", float, -10.0, 10.0, nargs="+", default=None, help="everybody's LCF, or a range (default: Table II's)"
     )
     measure.add_argument("--matched", action="store_true", help="in open scenes, at the real people's mean speeds")
     measure.add_argument(
-        "--preferred-speed", type=name, default=None, help="a number [m/s], or human (default: the policy's own)"
+        "--preferred-speed", type=_preferred_speed, help="a number [m/s], LO:HI, or human (default: the policy's own)"
     )
-    measure.number("--max-speed", float, 0.0, 10.0, above=True, help="everybody's [m/s] (default: the policy's own)")
+    measure.number("--max-speed", float, 0.1, TOP_SPEED, help="of people [m/s] (default: the policy's own, or 1.5)")
     measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
     measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
     measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
@@ -427,7 +460,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         check_words(argv)
         args = parser().parse_args(argv)
         args.argv = argv
-        start_mujoco(draws=args.run is not _export)
+        start_mujoco(draws=args.run not in (_export, _live))
         return args.run(args)
 
     return run_command("macid", command)

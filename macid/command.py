@@ -117,3 +117,15 @@ def add_executor(command: Parser) -> None:
     command.number(
         "--workers", int, 1, MOST_WORKERS, help="with --executor ray: how many at once (default: one a core)"
     )
+
+
+def add_address(command: Parser) -> None:
+    """Adds the flags of a live page's server (macid.live.server.Server) to a Parser."""
+    command.add_argument(
+        "--host", type=name, default="127.0.0.1", help="where to listen; another machine's browser needs --token"
+    )
+    command.number("--port", int, 0, 65_535, default=8080, help="0: any free one")
+    command.add_argument(
+        "--token", type=name, default=None, help="a word that a browser must bring, of at least 8 characters"
+    )
+    command.add_argument("--stay", action="store_true", help="go on listening when the last page has been closed")

@@ -18,7 +18,7 @@ import weakref
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -35,7 +35,48 @@ LCF_STOPS = np.array(  # RGB at equal steps of the LCF: ColorBrewer's RdYlBu, sa
 GOAL_RGB = (0.05, 0.62, 0.32)
 INK, MUTED, PAPER, PANEL = (38, 43, 51), (112, 119, 130), (255, 255, 255), (244, 245, 247)
 NEAR, FAR = 0.05, 300.0  # only what is between these distances is drawn [m]
+
+
+class Part(NamedTuple):
+    """A shape of what stands for a person or a goal."""
+
+    kind: mujoco.mjtGeom
+    size: tuple[float, float, float]  #: as MuJoCo's geoms have it [m]
+    place: tuple[float, float, float]  #: of its middle: ahead of the axis, to the left, above the ground [m]
+    shade: float = 1.0  #: the colour is this share of the whole's; 0: dark, as a visor
+    alpha: float = 1.0
+    glow: float = 0.0
+
+    def colour(self, rgb: ArrayLike) -> np.ndarray:
+        """The part's colour (..., 3), where the whole has the colour `rgb` (..., 3)."""
+        return np.broadcast_to(_VISOR_RGB, np.shape(rgb)) if self.shade == 0 else self.shade * np.asarray(rgb)
+
+
+_VISOR_RGB = (0.1, 0.1, 0.12)
+_BOX, _BALL, _TUBE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CYLINDER
+_WAIST, _HEAD, _VISOR = 1.16, 0.19, 0.13  # height; radius of the head, and how far ahead of its middle eyes are [m]
 FIGURE_PARTS = 4  # shapes in a person's figure
+
+
+def figure(radius: float = RADIUS) -> tuple[Part, ...]:
+    """A person inside its cylinder of `radius` [m]: body and head, and a visor where it faces."""
+    slim = (1.0 + radius / RADIUS) / 2  # heads differ less than shoulders do
+    head, visor = _HEAD * slim, _VISOR * slim
+    return (
+        Part(_TUBE, (radius, _WAIST / 2, 0), (0, 0, _WAIST / 2), glow=0.15),
+        Part(_BALL, (radius, radius, 0.15), (0, 0, _WAIST), glow=0.15),
+        Part(_BALL, (head, head, 0.22), (0, 0, HEIGHT - 0.22), shade=0.85, glow=0.15),
+        Part(_BOX, (0.10 * slim, visor, 0.045), (visor, 0, HEIGHT - 0.2), shade=0.0),
+    )
+
+
+#: A goal: pole, flag, a disc as large as the goal is, and a translucent column.
+GOAL = (
+    Part(_TUBE, (0.035, 0.9, 0), (0, 0, 2.1), glow=0.4),
+    Part(_BOX, (0.34, 0.012, 0.22), (0.34, 0, 2.78), glow=0.4),
+    Part(_TUBE, (GOAL_RADIUS, 0.008, 0), (0, 0, 0.012), alpha=0.75, glow=0.4),
+    Part(_TUBE, (GOAL_RADIUS, 1.25, 0), (0, 0, 1.25), alpha=0.22, glow=0.5),
+)
 
 
 _open_stages = weakref.WeakSet()  # to be closed before the graphics library goes
@@ -306,26 +347,21 @@ class Stage(Offscreen):
     def add_people(self, poses: np.ndarray, colours: np.ndarray, radius: float = RADIUS) -> None:
         """Adds figures at `poses` (K, 3), x, y [m] and yaw [rad], inside the people's cylinders of `radius` [m]: body
         and head in `colours` (K, 3), and a visor where they face."""
-        box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
-        tube = mujoco.mjtGeom.mjGEOM_CYLINDER
-        slim = (1.0 + radius / RADIUS) / 2  # heads differ less than shoulders do
-        waist, head, visor = 1.16, 0.19 * slim, 0.13 * slim
+        parts = figure(radius)
         for (x, y, yaw), rgb in zip(poses, colours, strict=True):
             c, s = math.cos(yaw), math.sin(yaw)
-            self.add(tube, [radius, waist / 2, 0], [x, y, waist / 2], [*rgb, 1.0], glow=0.15)
-            self.add(ball, [radius, radius, 0.15], [x, y, waist], [*rgb, 1.0], glow=0.15)
-            self.add(ball, [head, head, 0.22], [x, y, HEIGHT - 0.22], [*(0.85 * rgb), 1.0], glow=0.15)
-            place = [x + visor * c, y + visor * s, HEIGHT - 0.2]
-            self.add(box, [0.10 * slim, visor, 0.045], place, [0.1, 0.1, 0.12, 1.0], yaw)
+            for part in parts:
+                ahead, _, height = part.place
+                rgba = [*part.colour(rgb), part.alpha]
+                place = [x + ahead * c, y + ahead * s, height]
+                self.add(part.kind, part.size, place, rgba, yaw if ahead else 0.0, part.glow)
 
     def add_goal(self, goal: np.ndarray) -> None:
         """Adds a disc as large as `goal` (2,) [m] is, a translucent column, and a flag above everybody's head."""
-        tube = mujoco.mjtGeom.mjGEOM_CYLINDER
-        x, y = goal
-        self.add(tube, [0.035, 0.9, 0], [x, y, 2.1], [*GOAL_RGB, 1.0], glow=0.4)
-        self.add(mujoco.mjtGeom.mjGEOM_BOX, [0.34, 0.012, 0.22], [x + 0.34, y, 2.78], [*GOAL_RGB, 1.0], glow=0.4)
-        self.add(tube, [GOAL_RADIUS, 0.008, 0], [x, y, 0.012], [*GOAL_RGB, 0.75], glow=0.4, shadow=False)
-        self.add(tube, [GOAL_RADIUS, 1.25, 0], [x, y, 1.25], [*GOAL_RGB, 0.22], glow=0.5, shadow=False)
+        for part in GOAL:
+            rgba = [*part.colour(GOAL_RGB), part.alpha]
+            place = [goal[0] + part.place[0], goal[1] + part.place[1], part.place[2]]
+            self.add(part.kind, part.size, place, rgba, glow=part.glow, shadow=part.alpha == 1.0)
 
     def look(
         self,

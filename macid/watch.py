@@ -30,7 +30,7 @@ _FIELD_OF_VIEW = math.radians(84)  # of the eye, from left to right
 _PITCH = math.radians(-10)
 _TRAIL = 2.0  # [s]
 _TOUCH = 0.2  # a contact is shown so long [s]: a contact of a single step would flash by
-_CONTACT_RGB, _TRAIL_RGB, _RULE_RGB = (0.84, 0.0, 0.55), (0.55, 0.55, 0.55), (0.61, 0.55, 0.78)
+_CONTACT_RGB, _TRAIL_RGB, RULE_RGB = (0.84, 0.0, 0.55), (0.55, 0.55, 0.55), (0.61, 0.55, 0.78)
 _FLOOR, _GRID, _OBSTACLE, _WALL = (226, 228, 230), (212, 214, 217), (158, 146, 132), (112, 119, 130)
 _TUBE = mujoco.mjtGeom.mjGEOM_CYLINDER
 
@@ -77,7 +77,7 @@ class Recording:
     def colours(self) -> np.ndarray:
         """Everybody's colour, RGB (K, 3) in [0, 1]: the LCF's, or one colour for all where a rule has no use for
         LCFs."""
-        return lcf_colour(self.lcf) if is_learned(self.pedestrian) else np.tile(_RULE_RGB, (len(self.lcf), 1))
+        return lcf_colour(self.lcf) if is_learned(self.pedestrian) else np.tile(RULE_RGB, (len(self.lcf), 1))
 
     def at(self, time: float) -> Moment:
         """The Moment at `time` [s], people's places interpolated between decisions."""

@@ -23,6 +23,7 @@ MACID = (
     "evaluate",
     "watch",
     "human",
+    "live",
     "parallel_env",
     "bench benchmark command",
     "cli",

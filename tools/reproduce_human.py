@@ -100,14 +100,14 @@ def cell(row, digits):
 def lines(documents, table, keys):
     """A Markdown table of the measures `keys`: people, then a row a model and radius."""
     shown = [each for each in figures.MEASURES if each.key in keys]
-    rows = [f"| model | radius [m] | {' | '.join(each.key for each in shown)} |", "|---" * (2 + len(shown)) + "|"]
+    rows = [f"| model | seeds | radius [m] | {' | '.join(each.key for each in shown)} |", "|---" * (3 + len(shown)) + "|"]
     people = next(iter(documents.values()))["measures"]
     told = ["-" if people[m.key]["people"] is None else f"{people[m.key]['people']:.{m.digits}f}" for m in shown]
-    rows.append(f"| people | | {' | '.join(told)} |")
+    rows.append(f"| people | | | {' | '.join(told)} |")
     for (kind, name, _), document in documents.items():
         if kind == table:
             cells = [cell(document["measures"][each.key], each.digits) for each in shown]
-            rows.append(f"| {name} ({document['seeds']} seeds) | {document['radius']:g} | {' | '.join(cells)} |")
+            rows.append(f"| {name} | {document['seeds']} | {document['radius']:g} | {' | '.join(cells)} |")
     return rows
 
 

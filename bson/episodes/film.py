@@ -18,7 +18,7 @@ from macid import drawing, geometry, scene
 from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_colour, rgb255
 from macid.state import GOAL_RADIUS, HEIGHT
 
-_PATH_RGB = (0.95, 0.45, 0.0)
+PATH_RGB = (0.95, 0.45, 0.0)
 _TRAIL = 4.0  # length of people's trails [s]
 _CHASE_DISTANCE = 5.0  # distance of the chase camera from the robot [m]
 _CHASE_ELEVATION = (math.radians(27), math.radians(74))  # the least, and the greatest, used where walls are near
@@ -29,7 +29,68 @@ _CHASE, _MAP, _FRONT = (10, 46, 640, 440), (660, 46, 440, 440), (1110, 46, 400, 
 _READINGS = (1110, 280, 400, 206)
 
 
-class Film(drawing.Stage):
+class RobotStage(drawing.Stage):
+    """A Stage with a robot, whose camera it can look through."""
+
+    def __init__(self, model: mujoco.MjModel, *more: Any, **options: Any):
+        super().__init__(model, *more, **options)
+        self._camera = model.camera("robot/front").id
+
+    def put(self, qpos: np.ndarray, boxes: np.ndarray) -> None:
+        """Puts the model's bodies where `qpos` (nq,) and `boxes` (B, 5) have them."""
+        self.data.qpos[:] = qpos
+        if self.boxes:
+            self.data.mocap_pos[:, :2] = boxes[:, :2]
+            self.data.mocap_pos[:, 2] = self.model.body_pos[self.boxes, 2]
+            self.data.mocap_quat[:] = geometry.yaw_quaternion(boxes[:, 4])
+        self.pose()
+
+    def aim_front(self) -> None:
+        """Looks through the robot's camera."""
+        axes = self.data.cam_xmat[self._camera].reshape(3, 3)
+        fovy = math.radians(self.model.cam_fovy[self._camera])
+        self.look(
+            self.data.cam_xpos[self._camera],
+            -axes[:, 2],
+            axes[:, 1],
+            scene.CAMERA_NEAR * math.tan(fovy / 2),
+            scene.CAMERA_NEAR,
+        )
+
+
+class Eye(RobotStage):
+    """The picture of the robot's camera, as films have it. Close it, or use it in a `with`. Raises Unavailable without
+    OpenGL.
+
+    model: "as it looks" (World.scene); it is copied.
+    """
+
+    size_seen = 320, 180  #: width, height [pixels]
+
+    def __init__(self, model: mujoco.MjModel):
+        super().__init__(model, self.size_seen, [(0, 0, *self.size_seen)])
+
+    def picture(
+        self,
+        qpos: np.ndarray,
+        boxes: np.ndarray,
+        people: np.ndarray,
+        colours: np.ndarray,
+        goal: np.ndarray,
+        radius: float,
+    ) -> np.ndarray:
+        """RGB (height, width, 3) uint8 of the world at `qpos` (nq,) and `boxes` (B, 5), with `people` (K, 3), x, y [m]
+        and yaw [rad], of `radius` [m], in `colours` (K, 3), and the `goal` (2,) [m]."""
+        self.put(qpos, boxes)
+        self.add_people(people, colours, radius)
+        self.add_goal(goal)
+        page = self.page()
+        self.aim_front()
+        self.render(page, (0, 0, *self.size_seen))
+        return page
+
+
+class Film(RobotStage):
     """Draws recorded episodes of one model. Close the Film, or use it in a `with`. Raises Unavailable without OpenGL.
 
     model: "as it looks" (World.scene); it is copied. scale: the picture's; 1 is 1520 x 496 pixels. title: the name of
@@ -39,7 +100,6 @@ class Film(drawing.Stage):
     def __init__(self, model: mujoco.MjModel, scale: float = 1.0, title: str = "", samples: int = 0):
         super().__init__(model, _SIZE, (_CHASE, _MAP, _FRONT), scale, samples)
         self.title = title
-        self._camera = model.camera("robot/front").id
 
     def frame(self, episode: Episode, step: int = -1, speed: float | None = None) -> np.ndarray:
         """The composed picture of `episode` at control step `step`.
@@ -47,12 +107,12 @@ class Film(drawing.Stage):
         speed: the playback's speed, for the header.
         """
         step = range(len(episode.pose))[step]
-        self._pose(episode, step)
+        self.put(episode.qpos[step], episode.boxes)
         first = self.scene.ngeom
         self.add_people(episode.people[step], lcf_colour(episode.lcf), episode.person_radius)
         self.add_goal(episode.goal)
         page = self.page()
-        self._aim_front()
+        self.aim_front()
         self.render(page, _FRONT)
         self._draw_trails(episode, step)
         centre, span = map_window(episode)
@@ -77,15 +137,6 @@ class Film(drawing.Stage):
         """The pixels (..., 2), x and y of the picture, not rounded, at which the map shows `place` (..., 2) [m]."""
         return self.on_map(_MAP, *map_window(episode), place)
 
-    def _pose(self, episode, step):
-        """Puts the model's bodies where they are in the episode at `step`."""
-        self.data.qpos[:] = episode.qpos[step]
-        if self.boxes:
-            self.data.mocap_pos[:, :2] = episode.boxes[:, :2]
-            self.data.mocap_pos[:, 2] = self.model.body_pos[self.boxes, 2]
-            self.data.mocap_quat[:] = geometry.yaw_quaternion(episode.boxes[:, 4])
-        self.pose()
-
     def _draw_trails(self, episode, step):
         """The robot's way so far and the people's last seconds, as ribbons on the ground."""
         width = max(0.05, 0.0022 * map_window(episode)[1])
@@ -99,10 +150,10 @@ class Film(drawing.Stage):
         corner = way = episode.pose[0, :2]
         for place in episode.pose[1 : step + 1, :2]:
             if math.hypot(*(place - corner)) >= 0.3:
-                self._ribbon(corner, place, width, 0.008, [*_PATH_RGB, 1.0])
+                self._ribbon(corner, place, width, 0.008, [*PATH_RGB, 1.0])
                 corner = place
             way = place
-        self._ribbon(corner, way, width, 0.008, [*_PATH_RGB, 1.0])
+        self._ribbon(corner, way, width, 0.008, [*PATH_RGB, 1.0])
 
     def _ribbon(self, start, end, half_width, height, rgba):
         dx, dy = end - start
@@ -111,17 +162,6 @@ class Film(drawing.Stage):
             size = [length / 2, half_width, 0.001]  # no overlaps: OpenGL would light them twice
             place = [*((start + end) / 2), height]
             self.add(mujoco.mjtGeom.mjGEOM_PLANE, size, place, rgba, math.atan2(dy, dx), shadow=False)
-
-    def _aim_front(self):
-        axes = self.data.cam_xmat[self._camera].reshape(3, 3)
-        fovy = math.radians(self.model.cam_fovy[self._camera])
-        self.look(
-            self.data.cam_xpos[self._camera],
-            -axes[:, 2],
-            axes[:, 1],
-            scene.CAMERA_NEAR * math.tan(fovy / 2),
-            scene.CAMERA_NEAR,
-        )
 
     def _aim_chase(self, episode, step):
         """Puts the camera behind and above the robot, higher where a wall would hide it; returns its place (3,) [m]."""
@@ -187,7 +227,7 @@ class Film(drawing.Stage):
             self.write_reading(page, place, name, value)
         x0, x1 = round(left + 14 * unit), round(left + width - 14 * unit)
         self.draw_lcf_scale(page, x0, x1, top + 132 * unit)
-        keys = [("robot's way", _PATH_RGB, "line"), ("people's last 4 s", (0.55, 0.55, 0.55), "line")]
+        keys = [("robot's way", PATH_RGB, "line"), ("people's last 4 s", (0.55, 0.55, 0.55), "line")]
         self.write_keys(page, x0, top + 190 * unit, [*keys, ("goal", GOAL_RGB, "ring")])
 
 

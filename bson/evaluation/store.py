@@ -1,4 +1,5 @@
-"""The episodes of an unfinished evaluation on disk, so that an evaluation that was killed can go on from there."""
+"""Episodes on disk: those of an unfinished evaluation, so that an evaluation that was killed can go on from there, and
+others that are to be kept, such as people's."""
 
 import dataclasses
 import hashlib
@@ -78,16 +79,19 @@ def basis(agent: str, track: tuple[str, Any], cells: Sequence[Any], paired: bool
     return json.loads(json.dumps(content, default=np.ndarray.tolist))
 
 
-class Unfinished:
-    """The folder `out`/unfinished: an .npz for each episode that ended, and basis.json, from which they all follow.
+class Stored:
+    """A folder with an .npz for each episode that ended, and basis.json, from which they all follow.
 
     The folder is made when the first episode is saved. Each file ends in a seal, a hash of the basis and of the file's
-    content. A file that was cut short, or follows from another basis, is ignored, and its episode is played anew.
+    content. A file that was cut short, or follows from another basis, is ignored.
     """
 
-    def __init__(self, out: pathlib.Path, basis: dict[str, Any], resume: bool):
+    _refusal = "The episodes in '{folder}' follow from something else: {changed} changed. Name another folder."
+    _cure = "Name another folder."
+
+    def __init__(self, folder: pathlib.Path, basis: dict[str, Any], resume: bool):
         """resume: keeps the episodes that are there. Raises UsageError where they follow from another basis."""
-        self._folder, self._basis = check_folder(out / "unfinished"), basis
+        self._folder, self._basis = check_folder(folder), basis
         self._key = json.dumps(basis, sort_keys=True).encode()
         began = self._folder / "basis.json"
         check_file(began)
@@ -97,12 +101,9 @@ class Unfinished:
         remove_leftovers(self._folder)
         self._goes_on = resume and os.path.lexists(began)
         if self._goes_on:
-            before = _read_basis(began)
+            before = read_basis(began, self._cure)
             if changed := [name for name in basis if before.get(name) != basis[name]]:
-                raise UsageError(
-                    f"The evaluation in '{out}' can't go on: {' and '.join(changed)} changed since it began. "
-                    "Give the command that began it, or leave out --resume to begin anew."
-                )
+                raise UsageError(self._refusal.format(changed=" and ".join(changed), folder=self._folder.parent))
 
     def _path(self, cell, seed):
         return self._folder / f"{cell.slug}-{seed}.npz"
@@ -110,21 +111,33 @@ class Unfinished:
     def _seal(self, content):
         return hashlib.sha256(self._key + content).digest()
 
-    def save(self, cell: Any, episode: Episode) -> None:
-        """Saves an episode of `cell`; replaces it if it is there."""
+    def save(self, cell: Any, episode: Episode, more: dict[str, np.ndarray] | None = None) -> None:
+        """Saves an episode of `cell`; replaces it if it is there. more: further arrays that are kept with it."""
         if not self._goes_on:
             self.discard()
             output_folder(self._folder)
             write_json(self._folder / "basis.json", self._basis)
             self._goes_on = True
-        fields = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
+        fields: dict[str, Any] = {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode)}
         content = io.BytesIO()
-        np.savez(content, **{name: value for name, value in fields.items() if value is not None})
+        kept: dict[str, Any] = fields | (more or {})
+        np.savez(content, **{name: value for name, value in kept.items() if value is not None})
         write_bytes(self._path(cell, episode.seed), content.getvalue() + self._seal(content.getvalue()))
 
     def load(self, cell: Any, seed: int) -> Episode | None:
         """The Episode `seed` of `cell` as it was saved, or None."""
-        path = self._path(cell, seed)
+        fields = self._fields(self._path(cell, seed))
+        return None if fields is None else self._episode(fields)
+
+    def _episode(self, fields):
+        """The Episode of a file's arrays."""
+        known = {field.name for field in dataclasses.fields(Episode)}
+        return Episode(
+            **{name: value if value.ndim else value.item() for name, value in fields.items() if name in known}
+        )
+
+    def _fields(self, path):
+        """The arrays in the file `path` as they were saved, or None."""
         if not self._goes_on or not path.is_file():
             return None
         sealed = path.read_bytes()
@@ -132,7 +145,12 @@ class Unfinished:
         if seal != self._seal(content):
             return None
         with np.load(io.BytesIO(content)) as fields:
-            return Episode(**{name: fields[name] if fields[name].ndim else fields[name].item() for name in fields})
+            return dict(fields)
+
+    def seeds(self, cell: Any) -> list[int]:
+        """The seeds of the episodes of `cell` that are there, in order."""
+        names = [path.stem.removeprefix(f"{cell.slug}-") for path in self._folder.glob(f"{cell.slug}-*.npz")]
+        return sorted(int(name) for name in names if self._goes_on and name.isdecimal())
 
     def discard(self) -> None:
         """Removes the folder and everything in it."""
@@ -146,8 +164,22 @@ class Unfinished:
             self._folder.rmdir()
 
 
-def _read_basis(path):
-    """The content of basis.json. Raises UsageError for content that no evaluation writes."""
+class Unfinished(Stored):
+    """The folder `out`/unfinished of an evaluation."""
+
+    _refusal = (
+        "The evaluation in '{folder}' can't go on: {changed} changed since it began. "
+        "Give the command that began it, or leave out --resume to begin anew."
+    )
+    _cure = "Delete it, or leave out --resume, to begin anew."
+
+    def __init__(self, out: pathlib.Path, basis: dict[str, Any], resume: bool):
+        """resume: keeps the episodes that are there. Raises UsageError where they follow from another basis."""
+        super().__init__(out / "unfinished", basis, resume)
+
+
+def read_basis(path: pathlib.Path, cure: str) -> dict[str, Any]:
+    """The content of basis.json. Raises UsageError, with the `cure`, for content that no evaluation writes."""
     try:
         basis = parse(path, "basis", read_bytes(path, "basis", _MOST_BASIS))
         if isinstance(basis, dict):
@@ -155,4 +187,4 @@ def _read_basis(path):
         problem = "it is no object"
     except UsageError as error:
         problem = str(error).rstrip(".")
-    raise UsageError(f"{named(path)} is damaged ({problem}). Delete it, or leave out --resume, to begin anew.")
+    raise UsageError(f"{named(path)} is damaged ({problem}). {cure}")

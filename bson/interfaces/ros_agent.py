@@ -107,8 +107,10 @@ class AgentNode:
         """Waits until somebody publishes scans and odometry, and subscribes. Raises AgentError where nobody does, or
         messages have another type."""
         begun = time.monotonic()
-        # The goal first: of messages that are there at once, it is taken first.
-        self._subscribe(GOAL, reliable=True)
+        # The goal first: of messages that are there at once, it is taken first. BSON's goals are latched and RViz's are
+        # not: each needs a subscription of its own. A goal that comes twice is one.
+        for latched in (True, False):
+            self._subscribe(GOAL, latched=latched)
         while not all([self._wire.check_publishers(topic) for topic in (SCAN, ODOM)]):
             self._wire.spin(_LOOK)
             if time.monotonic() - begun > max(PATIENCE, self._timeout):
@@ -131,24 +133,15 @@ class AgentNode:
         found = self._wire.node.get_publishers_info_by_topic(topic.name)
         return all(one.qos_profile.reliability == ReliabilityPolicy.RELIABLE for one in found)
 
-    def _subscribe(self, topic, reliable):
-        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+    def _subscribe(self, topic, reliable=True, latched=False):
+        from rclpy.qos import ReliabilityPolicy
 
-        quality = ros.quality(topic)
-        if topic == GOAL and not self._latched():
-            quality.durability = DurabilityPolicy.VOLATILE
+        quality = ros.quality(topic._replace(latched=latched))
         if not reliable:
             quality.reliability = ReliabilityPolicy.BEST_EFFORT
         self._wire.node.create_subscription(
             ros.kind_of(topic.kind), topic.name, lambda message: self._receive(topic, message), quality
         )
-
-    def _latched(self):
-        """Whether goals are latched, as those of BSON's worlds are; RViz's are not."""
-        from rclpy.qos import DurabilityPolicy
-
-        found = self._wire.node.get_publishers_info_by_topic(GOAL.name)
-        return all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in found)
 
     def _receive(self, topic, message):
         self._heard = time.monotonic()
@@ -292,14 +285,17 @@ class AgentNode:
             while True:
                 self._wire.spin(_LOOK)
                 silent = time.monotonic() - self._heard
+                patience = (
+                    self._timeout if self._intervals else max(PATIENCE, self._timeout)
+                )  # a world may begin slowly
                 if silent > most and not self._standing:
                     ros.warn(f"no {SCAN.name} or {ODOM.name} for {silent:.1f} s: the robot stops")
                     self.stop()
-                if silent > self._timeout or (silent > most and not self._wire.check_publishers(SCAN)):
+                if silent > patience or (silent > most and not self._wire.check_publishers(SCAN)):
                     raise AgentError(
                         f"Nobody publishes {SCAN.name} any more: stopped the robot, after {self._acted / 1e9:.2f} s."
-                        if silent <= self._timeout
-                        else f"No {SCAN.name} or {ODOM.name} for {self._timeout:g} s: stopped the robot."
+                        if silent <= patience
+                        else f"No {SCAN.name} or {ODOM.name} for {patience:g} s: stopped the robot."
                     )
         finally:
             self.stop()

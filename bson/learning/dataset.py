@@ -18,6 +18,7 @@ from bson.agents.contract import act, made_for, reset_agent
 from bson.episodes.record import Episode
 from bson.episodes.session import Session
 from bson.episodes.tracks import make_track, sensor_documents
+from bson.evaluation.driven import is_driven, read_driven
 from bson.evaluation.metrics import sns
 from bson.evaluation.play import run_episodes
 from bson.features import FEATURES, SECTORS, Features
@@ -220,25 +221,25 @@ def load(name: str) -> Any:
 
 
 def demonstrations(name: str, config: TaskConfig, steps: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """The episodes of the dataset `name` (see `load`) until they hold `steps` control steps, as
-    bson.learning.imitation.demonstrate gives them: [(SNS, features (T, FEATURES), actions (T, 2)), ...].
+    """The episodes of the dataset `name` (see `load`), or of the folder `name` in which `bson live` keeps what people
+    drove, until they hold `steps` control steps, as bson.learning.imitation.demonstrate gives them: [(SNS, features (T,
+    FEATURES), actions (T, 2)), ...].
 
-    config: the setting of the robot that learns. Raises UsageError where the dataset's observations are not the Local
-    track's, with the 2D LIDAR.
+    config: the setting of the robot that learns. Raises UsageError where the observations are not the Local track's,
+    with the 2D LIDAR, or people drove at another control period or other top speeds.
     """
+    top = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
+    if is_driven(name):
+        return _driven(name, config, top, steps)
     dataset, found, collected = load(name), [], 0
     space = dataset.observation_space
     sizes = {key: part.shape for key, part in getattr(space, "spaces", {}).items() if key in _SEEN}
     if len(sizes) < len(_SEEN) or len(sizes["lidar"]) != 1 or sizes["lidar"][0] % SECTORS:
         wanted = f"goal, velocity, and a lidar whose beams are a multiple of {SECTORS}"
         raise UsageError(f"The dataset {shown(name)} can't be learned from: its observations need {wanted}.")
-    top = np.array([config.robot.max_speed, config.robot.max_yaw_rate])
     told = dataset.storage.get_episode_metadata(range(dataset.total_episodes))
     for episode, noted in zip(dataset.iterate_episodes(), told, strict=True):
-        features, x = Features(1, top), np.empty((len(episode.actions), FEATURES), np.float32)
-        for step in range(len(episode.actions)):
-            row = {key: episode.observations[key][step : step + 1] for key in sizes}
-            x[step] = (features.step if step else features.begin)([0], row)[0]
+        x = _features(episode.observations, len(episode.actions), top)
         score = noted.get("options", {}).get("SNS", float(np.sum(episode.rewards)))
         found.append((float(score), x, np.asarray(episode.actions)))
         collected += len(x)
@@ -247,3 +248,34 @@ def demonstrations(name: str, config: TaskConfig, steps: int) -> list[tuple[floa
     if not found:
         raise UsageError(f"The dataset {shown(name)} has no episode.")
     return found
+
+
+def check_demonstrations(name: str, config: TaskConfig) -> None:
+    """Raises UsageError where `demonstrations` would find nothing of that name."""
+    if is_driven(name):
+        read_driven(name, config)
+    else:
+        load(name)
+
+
+def _driven(name, config, top, steps):
+    """`demonstrations` of the folder of `bson live`."""
+    found, collected = [], 0
+    for episode, seen, actions in read_driven(name, config):
+        if "lidar" not in seen or seen["lidar"].ndim != 2 or seen["lidar"].shape[1] % SECTORS:
+            wanted = f"a lidar whose beams are a multiple of {SECTORS}"
+            raise UsageError(f"What people drove in {shown(name)} can't be learned from: it needs {wanted}.")
+        found.append((sns(episode), _features(seen, len(actions), top), actions))
+        collected += len(actions)
+        if collected >= steps:
+            break
+    return found
+
+
+def _features(observations, number, top):
+    """Features (number, FEATURES) of the first `number` observations of an episode."""
+    features, x = Features(1, top), np.empty((number, FEATURES), np.float32)
+    for step in range(number):
+        row = {key: observations[key][step : step + 1] for key in _SEEN}
+        x[step] = (features.step if step else features.begin)([0], row)[0]
+    return x

@@ -120,6 +120,20 @@ KNOWN = {
 }
 
 
+_LAB_NAME = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})(?!\d)")
+
+
+def named_by_lab(name: str) -> Known | None:
+    """What a file of HERMES is whose `name` says its corridor (uo-180-180-070, bo-360-120-120) but whose SHA-256 is
+    not known; None for other names."""
+    found = _LAB_NAME.search(name)
+    if not found:
+        return None
+    widths = [int(width) for width in found.groups()[1:]]
+    known = _one_way(*widths) if found[1] == "uo" else _two_ways(*widths)
+    return dataclasses.replace(known, title=f"{known.title}; by its name, its SHA-256 is not known")
+
+
 @dataclasses.dataclass(frozen=True)
 class Walks:
     """The walks of K people on a grid of T times."""
@@ -129,6 +143,7 @@ class Walks:
     position: np.ndarray  # (T, K, 2) [m], NaN where a person is not there
     source: Known | None = None
     frames: float | None = None  # a second, as the file has them; None where the file has seconds
+    known: bool = False  # whether its SHA-256 is
 
     @property
     def scene(self) -> str:
@@ -171,19 +186,22 @@ def on_grid(person: np.ndarray, time: np.ndarray, place: np.ndarray, period: flo
 def load(path: str | os.PathLike[str]) -> Walks:
     """The walks in the file `path`. Raises UsageError, a line with file, line and reason, where it holds none."""
     content = read_bytes(path, "trajectory", MOST_BYTES)
-    known = KNOWN.get(hashlib.sha256(content).hexdigest())
+    source = KNOWN.get(hashlib.sha256(content).hexdigest())
+    known = source is not None
     lines = _Lines(path, content)
-    form = known.form if known else lines.form()
+    form = source.form if source else lines.form()
     person, time, place, frames = _READERS[form](lines)
     _check(lines, person, time, place)
     period = OPEN_PERIOD if form in ("eth", "ucy") else LAB_PERIOD
     if form == "csv":
         period = OPEN_PERIOD if np.median(_steps(person, time)) > 0.25 else LAB_PERIOD
+    if source is None and form == "juelich":
+        source = named_by_lab(pathlib.Path(path).stem)
     try:
         position = on_grid(person, time, place, period)
     except ValueError as error:
         raise UsageError(f"{named(path)}: {error}.") from None
-    return Walks(known.name if known else pathlib.Path(path).stem, period, position, known, frames)
+    return Walks(source.name if source else pathlib.Path(path).stem, period, position, source, frames, known)
 
 
 def files(folder: str | os.PathLike[str]) -> list[pathlib.Path]:

@@ -68,24 +68,23 @@ def rounded(value: float, digits: int = 4) -> float | None:
 
 
 def open_figures(
-    scenes: list[Scene], played: Played, part: slice | None = None
+    scenes: list[Scene], played: Played, part: slice | None = None, real: Played | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(values, curves) of `scenes` as `played`. part: a part of each scene's samples, as a share of it, of which alone
-    they are."""
-    real = as_they_were(scenes)
+    they are. real: what as_they_were(scenes) gives, where it is at hand."""
+    real = as_they_were(scenes) if real is None else real
     people, errors, weights, meetings, speeds = [], [], [], [], []
     for number, scene in enumerate(scenes):
         position, velocity = played.position[number], played.velocity[number]
-        walks, known = played.walks[number], real.walks[number]
         counted = ~scene.stands
         if part is not None:
             low, high = (round(end * len(position)) for end in (part.start, part.stop))
             position, velocity = position[low:high], velocity[low:high]
             counted &= (scene.first >= low) & (scene.first < high)
-        person = measures.people(walks[:, counted], OPEN_PERIOD)
-        people.append(person)
-        speeds.append(scene.person.speed[counted])
-        errors.append(measures.displacement_errors(walks[:, counted], known[:, counted]))
+        walks, known = played.walks[number][:, counted], real.walks[number][:, counted]
+        people.append(measures.people(walks, OPEN_PERIOD))
+        speeds.append(measures.people(known, OPEN_PERIOD).speed)
+        errors.append(measures.displacement_errors(walks, known))
         weights.append(counted.sum())
         meetings.append(measures.meetings(position, velocity, scene.companions))
     speed, within, straightness = (np.concatenate([person[i] for person in people]) for i in range(3))
@@ -171,7 +170,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
     """(values, curves) of files of the lab's. part: of each the share of its time of which alone they are.
 
     What the two ways do is told at the densities that SIDES come to, SIDE_DENSITIES."""
-    values, points, smooth, curves, crowds, through = {}, [], [], {}, [], []
+    values, points, smooth, curves, crowds, through, exits = {}, [], [], {}, [], [], []
     for walk in walks:
         low, high = (round(share * len(walk.position)) for share in part)
         position, place = walk.position[low:high], walk.source.place if walk.source else None
@@ -183,7 +182,9 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
                 times = measures.crossing_times(walk.position, walk.period, place.exit_y)
                 first, last = (0.1 + 0.7 * share for share in part)  # as of measures.flow
                 times = times[round(first * len(times)) : round(last * len(times)) + 1]
-                values[f"exit{place.exit:g}"] = (len(times) - 1) / (times[-1] - times[0]) / place.exit
+                flow = (len(times) - 1) / (times[-1] - times[0]) / place.exit
+                values[f"exit{place.exit:g}"] = flow
+                exits.append([place.exit, rounded(flow)])
         elif place is not None:
             crowds.append(two_ways(position, walk.period, place, towards(position)))
             ends = [own[~np.isnan(own)][[0, -1]] for own in walk.position[..., 1].T]
@@ -198,7 +199,7 @@ def lab_figures(walks: list[Walks], part: tuple[float, float] = (0.0, 1.0)) -> t
             found = crossing.values(np.abs(crossing.density - density) <= measures.DENSITY_HALF)
             values[f"through{side}"] = 100.0 * float(np.mean(through))
             values |= dict(zip((f"two_speed{side}", f"lanes{side}", f"two_density{side}"), found, strict=True))
-    return values, curves
+    return values, {**curves, "exits": exits}
 
 
 def people(walks: list[Walks]) -> dict[str, Any]:
@@ -211,8 +212,9 @@ def people(walks: list[Walks]) -> dict[str, Any]:
     found, halves, curves = {}, [{}, {}], {}
     ends = [(0.0, 0.5), (0.5, 1.0)]
     if opens:
-        found, curves = open_figures(opens, as_they_were(opens))
-        halves = [open_figures(opens, as_they_were(opens), slice(*end))[0] for end in ends]
+        real = as_they_were(opens)
+        found, curves = open_figures(opens, real, real=real)
+        halves = [open_figures(opens, real, slice(*end), real)[0] for end in ends]
     if labs:
         more, lines = lab_figures(labs)
         found, curves = found | more, curves | lines

@@ -94,6 +94,7 @@ def jittered(rng: np.random.Generator, places: np.ndarray, radius: float, length
     turned along it."""
     free = min(JITTER, max(0.0, (_apart(places, length)[1].min() - 2 * radius) / 2 - 0.005))
     moved = places + rng.uniform(-free, free, places.shape) / math.sqrt(2)
+    moved[:, 0] = np.clip(moved[:, 0], places[:, 0].min(), places[:, 0].max())
     moved[:, 1] = (moved[:, 1] + rng.uniform(0.0, length)) % length
     return moved
 
@@ -163,7 +164,7 @@ def two_ways_layout() -> Layout:
 
 def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
     """`side` people on each side, at rest, who start towards each other. The first half of the cast goes towards
-    greater y. As a crowd draws out on its way, it begins denser than half of what both together are to be in the middle."""
+    greater y. As a crowd draws out on its way, it begins denser than half of what both are to be in the middle."""
     density = DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
     length = side / (density * CORRIDOR.width)
     places, goals = [], []

@@ -153,8 +153,7 @@ def measure(
 
 def same_files(walks: list[Walks], known: dict[str, Any]) -> bool:
     """Whether `walks` are of just the files that the figures `known` were made from."""
-    recognised = all(walk.source for walk in walks)
-    return recognised and {walk.name for walk in walks} == {each["name"] for each in known["files"]}
+    return {walk.name for walk in walks} == {each["name"] for each in known["files"]} and all(w.known for w in walks)
 
 
 def _recording(path):
@@ -163,7 +162,7 @@ def _recording(path):
     if walk.scene == "open":
         scenes = [Scene(walk)]
         played = replay.as_they_were(scenes)
-        values, curves = figures.open_figures(scenes, played)
+        values, curves = figures.open_figures(scenes, played, real=played)
         return [played], scenes, [values], curves, {}
     values, curves = figures.lab_figures([walk])
     return [], [], [values], curves, {}
@@ -199,7 +198,8 @@ def _model(pedestrian, walks, options, show):
     values, curves, played = [{} for _ in seeds], {}, []
     if scenes:
         played = _open(pedestrian, scenes, controller, names, made, period, body, wanted, options, show)
-        found = [figures.open_figures(scenes, each) for each in played]
+        real = replay.as_they_were(scenes)
+        found = [figures.open_figures(scenes, each, real=real) for each in played]
         if len(found) == 1:
             told["open_seeds"] = 1  # nothing in it is left to chance
         for index in range(len(found)):
@@ -225,7 +225,10 @@ def _open(pedestrian, scenes, controller, names, made, period, body, wanted, opt
         if options.matched:
             speeds.append([np.nan_to_num(scene.person.speed, nan=1.0) for scene in scenes])
         else:
-            speeds.append([traits.draw_preferred_speed(rng, wanted, len(scene.first)) for scene in scenes])
+            drawn = [traits.draw_preferred_speed(rng, wanted, len(scene.first)) for scene in scenes]
+            # Companions want to walk at one speed.
+            together = [None if d is None else d[scene.group] for d, scene in zip(drawn, scenes, strict=True)]
+            speeds.append(together)
     if not is_learned(names[0]) and (options.matched or wanted is None or isinstance(wanted, float)):
         speeds, controller = speeds[:1], made[names[0]]
     if options.matched:  # some real people walk faster than the paper's

@@ -1,8 +1,9 @@
 """Open scenes replayed: everybody is replaced by a model.
 
 A person of the model comes where and when its real one came, with that one's velocity, and goes to where the real one
-was last seen. People who stood are moved as they stood. A scene is divided into windows, the worlds of one batch: each
-begins a little before its time, with the people who were there then, and counts the people who come in it.
+was last seen. Who walked together means to stay together. People who stood are moved as they stood. A scene is divided
+into windows, the worlds of one batch: each begins a little before its time, with the people who were there then, and
+counts the people who come in it.
 """
 
 import itertools
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csgraph
 
 from macid.human import measures
 from macid.human.data import OPEN_PERIOD, Walks
@@ -40,6 +42,7 @@ class Scene:
         self.person = measures.people(self.position, OPEN_PERIOD)
         self.stands = ~self.person.walks
         self.companions = measures.companions(self.position, OPEN_PERIOD)  # (P, P)
+        self.group = _groups(self.companions)  # (P,) int: the first one's index of those who walk together
 
 
 class Window(NamedTuple):
@@ -98,7 +101,15 @@ def cast(scene: Scene, window: Window, speed: np.ndarray | None) -> Cast:
         scene.position[scene.last[who], who],
         None if speed is None else speed[who],
         walk,
+        scene.group[who],
     )
+
+
+def _groups(companions):
+    """For each person the index of the first one of its group: whoever is a companion of one of it."""
+    _, label = csgraph.connected_components(companions, directed=False)
+    _, first = np.unique(label, return_index=True)
+    return first[label]
 
 
 def play(

@@ -34,6 +34,7 @@ class Cast(NamedTuple):
     goal: np.ndarray  #: (P, 2) [m]
     speed: np.ndarray | None = None  #: (P,) preferred [m/s]; None: the model's own
     walk: np.ndarray | None = None  #: (T, P, 2) [m], every STEP: of people who are moved along it; NaN: by the model
+    group: np.ndarray | None = None  #: (P,) int, as in macid.state.Traits; None: everybody walks alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +87,7 @@ class Stage:
         self.engine = make_engine(engine, model, self.bodies, layout.boxes, len(casts))
         self._place, self._velocity, self._goal = (self._stacked(name, 2) for name in ("place", "velocity", "goal"))
         self._walk = self._walks()
+        self._group = None if casts[0].group is None else self._stacked("group").astype(int)
         self._speed = None if casts[0].speed is None else self._stacked("speed")
         self._lcf = jnp.asarray(rng.uniform(*body.lcf, (len(casts), self.people)), jnp.float32)
         self._away = jnp.asarray(parking_place(np.arange(self.bodies)), jnp.float32)
@@ -173,7 +175,7 @@ class Stage:
             still = jnp.where(new[..., None], entry, 0.0)
             yaw = jnp.where(new, yaw, self.engine.read(state).yaw)
             state = self.engine.place(state, moved, where, still, yaw)
-        now = self._wishing(self.engine.read(state), own)
+        now = self._wishing(self.engine.read(state), own, there)
         command = self._controller(now, self.engine.boxes, goal, self._both(self._lcf[each, own]))
         command = jnp.where((there & ~led)[..., None], command[:, : self.number], 0.0)
         state = self.engine.step(state, self._both(command), self._substeps)
@@ -190,13 +192,17 @@ class Stage:
         """`values` (nworld, number, ...) of people, and of their images on a ring."""
         return jnp.concatenate([values, values], axis=1) if self.ring else values
 
-    def _wishing(self, state: CrowdState, own: Array) -> CrowdState:
-        """`state` with its people's wishes."""
+    def _wishing(self, state: CrowdState, own: Array, there: Array) -> CrowdState:
+        """`state` with the wishes of the people `own` (nworld, number), where somebody is `there`."""
         shape = state.position.shape[:-1]
         each = jnp.arange(len(self.casts))[:, None]
         most = None if self.body.max_speed == MAX_SPEED else jnp.full(shape, self.body.max_speed, jnp.float32)
         wanted = None if self._speed is None else self._both(self._speed[each, own])
-        return state._replace(traits=state.traits._replace(preferred_speed=wanted, max_speed=most))
+        traits = state.traits._replace(preferred_speed=wanted, max_speed=most)
+        if self._group is not None:
+            nobody = -1 - jnp.arange(self.number)  # in an empty slot, who is nobody's companion
+            traits = traits._replace(group=self._both(jnp.where(there, self._group[each, own], nobody)))
+        return state._replace(traits=traits)
 
     def _turned(self, state, new, moved, there, where, entry, yaw, ahead):
         """(physics, goals of people and images) on a ring, once everybody is on it and images are where they belong."""

@@ -28,6 +28,8 @@ TASK = [  # what is wrong with a task
     ["--set", "robot=empty"],
     ["--set", "pedestrian_model=nobody"],
     ["--set", "horizon=0"],
+    ["--set", "person_radius=9"],
+    ["--set", "companions=2"],
 ]
 SETTING = [
     *TASK,
@@ -44,7 +46,8 @@ SETTING = [
     ["--seed", "x"],
 ]
 LEVEL = [["--levels", "9"], ["--levels", "nowhere.toml"]]
-CROWD = [["--pedestrian", "nobody"], ["--period", "0.03"], ["--seed", "-1"]]
+PEOPLE = [["--radius", "9"], ["--preferred-speed", "brisk"], ["--max-speed", "0"], ["--companions", "2"]]
+CROWD = [*PEOPLE, ["--pedestrian", "nobody"], ["--period", "0.03"], ["--seed", "-1"]]
 
 # {name: (words, the flag of the results, what they are called, what can be wrong with the rest)}
 COMMANDS = {
@@ -78,8 +81,8 @@ COMMANDS = {
         *CROWD, ["--level", "9"], ["--seconds", "0"], ["--follow", "999"], ["--scale", "9"], ["--at", "1"],
     ]),
     "macid export": (["macid", "export"], "--out", "scene", [
-        ["--level", "9"], ["--map", "nowhere"], ["--level", "1", "--map", "hall"], ["--people", "0"], ["--lcf", "1",
-        "0"],
+        *PEOPLE, ["--level", "9"], ["--map", "nowhere"], ["--level", "1", "--map", "hall"], ["--people", "0"],
+        ["--lcf", "1", "0"],
     ]),
     "macid train": (["macid", "train", "--level", "1", "--agent-steps", "1"], "--out", "runs", [
         ["--method", "nothing"], ["--level", "9"], ["--level", "nowhere.toml"], ["--period", "0.03"], ["--seeds", "0"],

@@ -166,12 +166,10 @@ def test_killing_either_side_ends_the_other_in_one_line(killed, tmp_path):
     endless = ["--suite", "smoke", "--episodes", "1", *WORDS, "--set", "horizon=1000000", "--set", "goal_distance=12"]
     with (
         Peer({}, {"/odom": "nav_msgs/msg/Odometry"}) as peer,
-        running("deploy", "--agent", "stop", "--goal-frame", "map", "--timeout", "3") as agent,
-        running(*command, *endless, "--timeout", "3", cwd=tmp_path) as world,
+        running("deploy", "--agent", "stop", "--goal-frame", "map", "--timeout", "4") as agent,
+        running(*command, *endless, "--timeout", "4", cwd=tmp_path) as world,
     ):
-        until = time.monotonic() + 120
-        while len(peer.heard["/odom"]) < 20 and time.monotonic() < until:
-            time.sleep(0.05)
+        until(lambda: len(peer.heard["/odom"]) >= 20 or world.poll() or agent.poll(), 120.0)
         assert world.poll() is None and agent.poll() is None, (world.communicate(), agent.communicate())
         first, other = (world, agent) if killed == "world" else (agent, world)
         first.send_signal(signal.SIGKILL)
@@ -356,9 +354,9 @@ DRIVES = float(np.float32(0.8)) * 2.0  # the agent `goal` where its goal is stra
 class Robot(Peer):
     """A robot that stands at the origin, with a goal 5 m ahead; its scans see nothing."""
 
-    def __init__(self, **scan):
+    def __init__(self, latched=("/goal_pose",), **scan):
         kinds = {topic.name: topic.kind for topic in (ros_agent.SCAN, ros_agent.ODOM, ros_agent.GOAL)}
-        super().__init__(kinds, CMD, latched={"/goal_pose"})
+        super().__init__(kinds, CMD, latched)
         self.scan = {"beams": 720, "half": Lidar2D().field / 2, "range_max": 30.0, **scan}
         self.speed, self.frame = 0.0, "odom"
 
@@ -415,6 +413,17 @@ def test_stale_messages_stop_the_robot_and_then_end_the_node(capsys):
     assert "No /scan or /odom for 1 s: stopped the robot" in driven(robot, lambda robot: steps(robot, 5))
     assert robot.commands[:5] == [DRIVES] * 5 and robot.commands[5] == 0.0
     assert "no /scan or /odom for" in capsys.readouterr().err
+
+
+def test_a_goal_that_is_not_latched_is_obeyed_too():
+    robot = Robot(latched=())  # as RViz gives goals
+
+    def script(robot):
+        until(lambda: robot.told["/goal_pose"].get_subscription_count())
+        steps(robot, 3)
+
+    driven(robot, script)
+    assert robot.commands[:4] == [*[DRIVES] * 3, 0.0]
 
 
 def test_a_clock_that_runs_backwards_stops_the_robot_and_it_begins_anew(capsys):

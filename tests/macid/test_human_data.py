@@ -64,6 +64,14 @@ def test_pedpy_reads_the_same(tmp_path):
     assert speeds["speed"].to_numpy() == pytest.approx(speed_of(data.load(path)).mean())
 
 
+def test_a_lab_file_says_its_corridor_by_its_name(tmp_path):
+    walks = data.load(written(tmp_path, "uo-240-240-100_combined.txt", as_juelich(walkers(step=0.25))))
+    assert walks.scene == "one way" and walks.source.place == data.Bottleneck(2.4, 1.0, -4.0, 4.0)
+    assert "SHA-256 is not known" in walks.source.title
+    walks = data.load(written(tmp_path, "bo-360-120-120.txt", as_juelich(walkers(step=0.25))))
+    assert walks.scene == "two ways" and walks.source.place.width == 3.6
+
+
 def test_annotators_clocks_are_put_on_one_grid(tmp_path):
     rows = [(780 + 6 * s + 3 * p, p, 0.48 * s, 0, p, 0, 0, 0) for p in range(2) for s in range(9)]
     walks = data.load(written(tmp_path, "eth.txt", rows))

@@ -10,17 +10,25 @@ from macid.human import figures
 from macid.human.measure import Options, interval, measure, summary, table, troupe
 
 
+def answer(words):
+    """The exit code of a command."""
+    try:
+        return main(words)
+    except SystemExit as error:
+        return error.code
+
+
 @pytest.fixture
 def recording(tmp_path):
     """A csv of people who cross a square and of one who stands."""
     rng, lines = np.random.default_rng(5), ["id,t,x,y"]
     for who in range(40):
-        begin, angle, speed = rng.integers(0, 80), rng.uniform(0, 2 * np.pi), rng.uniform(0.9, 1.6)
+        begin, angle, speed = rng.integers(0, 15), rng.uniform(0, 2 * np.pi), rng.uniform(0.9, 1.6)
         middle = rng.uniform(-3, 3, 2)
         for step in range(20):
             x, y = middle + (step - 10) * 0.4 * speed * np.array([np.cos(angle), np.sin(angle)])
             lines.append(f"{who},{(begin + step) * 0.4:.1f},{x:.4f},{y:.4f}")
-    lines += [f"40,{step * 0.4:.1f},8.0,8.0" for step in range(60)]
+    lines += [f"40,{step * 0.4:.1f},8.0,8.0" for step in range(34)]
     path = tmp_path / "square.csv"
     path.write_text("\n".join(lines))
     return path
@@ -67,10 +75,10 @@ def test_a_methods_seeds_are_its_policies_and_a_rules_are_chances():
     ("words", "reason"),
     [
         (["--pedestrian", "nobody"], "nobody"),
-        (["--pedestrian", "orca", "--radius", "3"], "--radius must be a number from 0.1 to 0.5"),
-        (["--pedestrian", "orca", "--preferred-speed", "fast"], "--preferred-speed must be a number"),
-        (["--pedestrian", "orca", "--preferred-speed", "9"], "--preferred-speed must be"),
-        (["--pedestrian", "orca", "--max-speed", "9"], "--max-speed must be a number"),
+        (["--pedestrian", "orca", "--radius", "3"], "--radius must be at most 0.5"),
+        (["--pedestrian", "orca", "--preferred-speed", "fast"], "argument --preferred-speed: "),
+        (["--pedestrian", "orca", "--preferred-speed", "9"], "--preferred-speed: "),
+        (["--pedestrian", "orca", "--max-speed", "9"], "--max-speed must be at most 2"),
         (["--pedestrian", "orca", "--lcf", "1", "0"], "--lcf must be a range"),
         (["--pedestrian", "orca", "--lcf", "1", "1", "1"], "--lcf takes one LCF"),
         (["--pedestrian", "orca", "--only", "open"], "--only open needs --data"),
@@ -81,9 +89,9 @@ def test_a_methods_seeds_are_its_policies_and_a_rules_are_chances():
 )
 def test_what_cannot_be_measured_is_one_line_and_writes_nothing(words, reason, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["human", "measure", *words, "--out", "out"]) == 2
+    assert answer(["human", "measure", *words, "--out", "out"]) == 2
     told = capsys.readouterr().err.strip().splitlines()
-    assert reason in told[-1] and told[-1].startswith("macid: error")
+    assert reason in told[-1] and "error" in told[-1]
     assert not (tmp_path / "out").exists()
 
 

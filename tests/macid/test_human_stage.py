@@ -86,6 +86,18 @@ def test_a_troupe_gives_every_world_its_own_controller():
     assert fast[-1, 0, 0] == pytest.approx(1.0, abs=0.05) and half[-1, 0, 0] == pytest.approx(-1.5, abs=0.1)
 
 
+def test_people_know_their_group_and_their_wishes():
+    def together(state, boxes, goals, lcf):
+        group = state.traits.group
+        with_others = (group[..., :, None] == group[..., None, :]).sum(axis=-1) > 1
+        return jnp.where(with_others[..., None], blind(state, boxes, goals, lcf), 0.0)
+
+    people = [(0.0, 9.0, (-4.0, float(y)), (30.0, float(y))) for y in range(3)]
+    crowd = cast(*people, speed=np.array([1.0, 0.5, 1.0]))._replace(group=np.array([7, 7, 3]))
+    (walks,) = play([crowd], 4.0, controller=together)
+    assert walks[-1, :, 0] == pytest.approx([0.0, -2.0, -4.0], abs=0.15)
+
+
 def test_on_a_ring_people_go_round_and_meet_the_nearest_image():
     walker = cast((0.0, 99.0, (1.0, 3.0), (1.0, -7.0)))
     (walks,) = play([walker], 16.0, layout=flows.ring_layout(), ring=flows.RING)
@@ -156,7 +168,7 @@ def test_people_replayed_as_themselves_are_where_they_were():
 
 
 def test_walking_blind_anticipates_nothing():
-    scenes = [replay.Scene(made_up(300, 300))]
+    scenes = [replay.Scene(made_up(200, 200))]
     speeds = [[scene.person.speed for scene in scenes]]
     (played,) = replay.play(scenes, blind, 0.1, Body(0.1), np.random.default_rng(0), speeds)
     values, _ = open_figures(scenes, played)

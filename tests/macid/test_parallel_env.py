@@ -90,6 +90,17 @@ def test_an_action_is_a_share_of_the_top_speeds():
     assert all(first[agent][0] > 7.9 and abs(first[agent][1]) < 1e-3 for agent in env.agents)  # facing the goal
 
 
+def test_agents_have_speeds_of_their_own_and_companions():
+    config = CrowdConfig(period=0.1, preferred_speed=(0.8, 1.2), max_speed=2.0, companions=1.0)
+    env = CrowdParallelEnv(Layout(60.0, []), config, number=3)
+    _, infos = env.reset(seed=0)
+    assert len({infos[agent]["group"] for agent in env.agents}) == 1
+    assert all(0.8 <= infos[agent]["preferred_speed"] <= 1.2 for agent in env.agents)
+    for _ in range(5):
+        seen = env.step(everybody(env, WALK))[0]
+    assert [seen[agent][2] for agent in env.agents] == pytest.approx([2.0] * 3, abs=0.02)
+
+
 def test_rewards_are_eq_5_and_eq_1():
     weights = RewardWeights(distance=2.0, goal=3.0, collision=0.5)
     env = CrowdParallelEnv(ROOM, NEAR, number=14, weights=weights)

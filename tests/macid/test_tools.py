@@ -83,3 +83,16 @@ def test_numbers_of_the_tools_are_bounded(tmp_path):
     told = ran.stderr.splitlines()
     assert len(told) == len(lines) and all(": error: " in line and len(line) < 6000 for line in told)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_the_table_of_models_beside_people_goes_on_where_it_was(tmp_path):
+    words = [sys.executable, str(ROOT / "tools" / "reproduce_human.py"), "--pedestrians", "standing", "--seeds", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for expected in (2, 0):  # measurements made
+        ran = subprocess.run([*words, "--out", "out"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert ran.returncode == 0, ran.stderr
+        assert ran.stderr.count("human: standing") == expected
+    table = (tmp_path / "out" / "human.md").read_text().splitlines()
+    assert [line.split("|")[1].strip() for line in table[2:]] == ["people", "standing", "standing"]
+    assert table[-1].split("|")[3].strip() == "0.2" and len(list((tmp_path / "out" / "rows").iterdir())) == 2
