@@ -52,12 +52,12 @@ class SceneConfig:
     most_gradient: float = 1.0  # of a person's cost, after its state at a decision
     pace: float = 2.0  # of the squared difference of the velocity from the preferred one, in its share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 1.5  # of the energy of collision courses
+    meet: float = 0.5  # of the energy of collision courses
     reach: float = 0.0  # by which bodies are widened there [m]
     blur: float = 0.1  # by how much two bodies that just miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
-    touch: float = 1.5  # of bodies and walls that are touched
-    headway: float = 2.0  # of the squared room that is missing behind a person who walks ahead [m2]
+    touch: float = 2.0  # of bodies and walls that are touched
+    headway: float = 1.0  # of the squared room that is missing behind a person who walks ahead [m2]
     headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 
@@ -137,25 +137,20 @@ def costs(
     aside = jax.nn.sigmoid((0.8 * reach - jnp.abs(in_front[..., 1])) / 0.08)
     same_way = jnp.sum(others[1][..., None, :, :] * heading[..., :, None, :], axis=-1) > -0.2
     missing = config.headway_time * speed[..., None] - (in_front[..., 0] - reach)
-    missing = jnp.where(~itself & same_way & (in_front[..., 0] > 0), jnp.clip(missing, 0.0, 1.0), 0.0)
+    missing = jnp.where(~itself & same_way & (in_front[..., 0] > 0), jnp.clip(missing, 0.0, 0.6), 0.0)
     wanted = after.velocity / traits.preferred_speed[..., None] - _HOLD(ahead)
     return {
         "pace": jnp.sum(wanted**2, axis=-1),
         "change": jnp.sum((after.velocity - before.velocity) ** 2, axis=-1) / period**2,
-        "meet": _bounded(jnp.sum(energy, axis=-1)),
-        "headway": _bounded(jnp.sum(aside * missing**2, axis=-1)),
-        "touch": _bounded(jnp.sum(overlap, axis=-1) + _near(wall)),
+        "meet": jnp.minimum(jnp.sum(energy, axis=-1), _MOST_ENERGY),
+        "headway": jnp.sum(aside * missing**2, axis=-1),
+        "touch": jnp.sum(overlap, axis=-1) + _near(wall),
         "apart": jnp.sum(companions * beyond, axis=-1) / jnp.maximum(jnp.sum(companions, axis=-1), 1),
     }
 
 
-def _bounded(cost):
-    """`cost` where it is small, never more than 1: in a crowd, where many bodies are near, to stand still must not cost
-    less than to walk, or everybody does."""
-    return cost / (1.0 + cost)
-
-
 _TOUCHING = 0.06  # gap at which touching begins to cost [m]
+_MOST_ENERGY = 6.0  # of all collision courses of a person
 
 
 def _near(gap):

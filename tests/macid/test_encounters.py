@@ -230,7 +230,7 @@ def test_a_policy_walks_people_through_the_engine_and_both_engines_agree(tmp_pat
     controller = make_controller(str(tmp_path / "people.npz"), 0.1)
     which = scenes.SCENES["two-ways"]
     drawn = scenes.draw(which, np.random.default_rng(0), 1, RADIUS)
-    number = 12
+    number = 3
     model = crowd_spec(which.layout, number, dataclasses.replace(PERSON, radius=RADIUS)).compile()
     ends = {}
     for name in ("native", "mjx"):
