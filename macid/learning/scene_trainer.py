@@ -52,12 +52,12 @@ class SceneConfig:
     most_gradient: float = 1.0  # of a person's cost, after its state at a decision
     pace: float = 2.0  # of the squared difference of the velocity from the preferred one, in its share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 0.5  # of the energy of collision courses
+    meet: float = 0.6  # of the energy of collision courses
     reach: float = 0.0  # by which bodies are widened there [m]
     blur: float = 0.1  # by how much two bodies that just miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
     touch: float = 2.0  # of bodies and walls that are touched
-    headway: float = 1.0  # of the squared room that is missing behind a person who walks ahead [m2]
+    headway: float = 0.3  # of the squared room that is missing behind a person who walks ahead [m2]
     headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 
@@ -142,7 +142,7 @@ def costs(
     return {
         "pace": jnp.sum(wanted**2, axis=-1),
         "change": jnp.sum((after.velocity - before.velocity) ** 2, axis=-1) / period**2,
-        "meet": jnp.minimum(jnp.sum(energy, axis=-1), _MOST_ENERGY),
+        "meet": jnp.sum(jnp.minimum(energy, _MOST_ENERGY), axis=-1),
         "headway": jnp.sum(aside * missing**2, axis=-1),
         "touch": jnp.sum(overlap, axis=-1) + _near(wall),
         "apart": jnp.sum(companions * beyond, axis=-1) / jnp.maximum(jnp.sum(companions, axis=-1), 1),
@@ -150,7 +150,7 @@ def costs(
 
 
 _TOUCHING = 0.06  # gap at which touching begins to cost [m]
-_MOST_ENERGY = 6.0  # of all collision courses of a person
+_MOST_ENERGY = 6.0  # of a collision course
 
 
 def _near(gap):

@@ -225,6 +225,7 @@ def test_files_that_do_not_fit_together_are_refused(tmp_path):
         load_policy(str(tmp_path / "broad.npz"))
 
 
+@pytest.mark.slow
 def test_a_policy_walks_people_through_the_engine_and_both_engines_agree(tmp_path):
     policy().save(tmp_path / "people")
     controller = make_controller(str(tmp_path / "people.npz"), 0.1)
@@ -262,7 +263,8 @@ def test_a_scene_has_room_and_its_gates_lead_on(name):
         here = np.abs(position).max(axis=-1) < which.layout.size
         assert which.fewest <= here.sum() <= which.number
         gate = gates[np.arange(len(first)), first]
-        assert not scenes.passed(gate, position).any()
+        leads = group == np.arange(len(group))
+        assert not scenes.passed(gate, position)[leads].any()
         aim = scenes.goal(gate, position)
         assert scenes.passed(gate[gate[:, 4] > 0], aim[gate[:, 4] > 0]).all()  # one who gets there is through
         assert (group <= np.arange(len(group))).all()
