@@ -33,7 +33,7 @@ from macid.files import (
 from macid.state import MAX_SPEED, RADII, RADIUS, TOP_SPEED
 
 _ENGINE = "native (CPU), mjx or warp (GPU), with options as in warp:contacts=4 (default: the best there is; it is told)"
-_PRESETS = ["fast", "gpu", "paper", "paper-batch", "paper-ppo"]
+_PRESETS = ["fast", "gpu", "human", "paper", "paper-batch", "paper-ppo"]
 _ROLLOUT = {"kind": int, "least": 1, "most": 1_000_000}
 
 
@@ -211,6 +211,7 @@ def _train(args):
         "batch": args.batch,
         "epochs": args.epochs,
         "learning_rate": args.learning_rate,
+        "period": args.period,
     }
     folders = benchmark.train(
         args.method,
@@ -226,7 +227,6 @@ def _train(args):
         show=_after(note, lambda line: print(line, flush=True)),
         level=args.level,
         engine=engine,
-        period=args.period,
         **{name: value for name, value in given.items() if value is not None},
     )
     for folder in folders:
@@ -378,7 +378,9 @@ def parser() -> Parser:
     export.set_defaults(run=_export)
 
     train = commands.add_parser("train", help="train pedestrians by multi-agent PPO", formatter_class=HelpFormatter)
-    train.add_argument("--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri or macid-touch")
+    train.add_argument(
+        "--method", type=name, default="macid", help="ipo, mfpo, copo, macid, macid-tri, -touch or -human"
+    )
     train.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     train.add_argument("--level", type=_level, default=2, help="as of evaluate: 1 to 4, v1 to v4, foyer, ...")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
@@ -389,7 +391,7 @@ def parser() -> Parser:
     train.number("--batch", int, 1, 1_000_000_000, help="agent-steps of a gradient step (default: the preset's)")
     train.number("--epochs", int, 1, 1000, help="passes of an update over its agent-steps (default: the preset's)")
     train.number("--learning-rate", float, 0.0, 1.0, above=True, help="at the beginning (default: 0.001)")
-    train.number("--period", float, **PERIOD, default=0.02, help="time between decisions [s]")
+    train.number("--period", float, **PERIOD, help="time between decisions [s] (default: 0.02; human: 0.1)")
     train.number(
         "--agent-steps",
         float,

@@ -10,8 +10,7 @@ import io
 import math
 import os
 import pathlib
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -19,16 +18,16 @@ import numpy as np
 
 from macid import arrays, assets, observation
 from macid.documents import convert, parse, read_bytes
-from macid.files import UsageError, write_bytes, write_json
+from macid.encounter_policy import EncounterPolicy
+from macid.files import UsageError
 from macid.geometry import Array
-from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, physics_steps
+from macid.networks import ENCODER, check_layers, mlp, write_network
+from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
+from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, RADII, TOP_SPEED, physics_steps
 
 HIDDEN = (64, 64, 64)
 ACTIONS = 2
 FEATURES = observation.SIZE + 1  # the goal's two columns become three
-MOST_READING = 1e6  # any number in an observation but a ray's distance [m, m/s, rad/s]
-MOST_WEIGHT = 1e6  # in a network, so that its outputs are finite
-MOST_LAYERS = 64
 MOST_POLICY_BYTES = 1 << 26  # a policy's weights, packed and unpacked [bytes]
 MOST_RECIPE_BYTES = 1 << 24  # its recipe [bytes]
 _GOAL_SCALE = math.log1p(24.0)
@@ -65,15 +64,7 @@ def as_observed(observed: Array) -> Array:
 
 # What networks see of an observation (..., 41): {a recipe's "inputs": (the function, how many numbers it gives)}.
 INPUTS = {"features": (features, FEATURES), "observation": (as_observed, observation.SIZE)}
-
-
-def mlp(layers: Sequence[tuple[Array, Array]], x: Array) -> Array:
-    """A tanh network with a linear last layer: `layers` is [(weight (in, out), bias (out,)), ...], x (..., in)."""
-    xp = x.__array_namespace__()
-    for weight, bias in layers[:-1]:
-        x = xp.tanh(x @ weight + bias)
-    weight, bias = layers[-1]
-    return x @ weight + bias
+ENCOUNTERS = "encounters"  # the "inputs" in the recipe of an EncounterPolicy, which sees `macid.encounters` instead
 
 
 def to_velocity(action: Array) -> Array:
@@ -175,11 +166,11 @@ class Policy:
                 observed, lcf = taken(observed, "An observation", weight), taken(lcf, "An LCF", weight)
                 # Tracing takes a shape for values. (torch documents is_tracing as public, but its types don't.)
                 if not torch.jit.is_tracing():  # pyright: ignore[reportPrivateImportUsage]
-                    _check_shapes(observed.shape, lcf.shape)
+                    check_shapes(observed.shape, lcf.shape, observation.SIZE, "macid.observation")
                 if (values := seen(observed)) is not None:
                     _check_observed(values)
                 if (values := seen(lcf)) is not None:
-                    _check_lcf(values)
+                    check_lcf(values)
                 rays = observed[..., _RAYS].unflatten(-1, (observation.RAYS, 3))
                 distance, relative = rays[..., :1], rays[..., 1:].nan_to_num().clamp(-MOST_READING, MOST_READING)
                 met = distance < observation.RAY_RANGE
@@ -220,18 +211,18 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     isn't understood: RAY_RANGE of an unknown distance, 0 of a negative one, 0 of another NaN, and the nearer end of its
     range of a number outside it.
     """
-    observed, lcf = _numbers(observed, "An observation"), _numbers(lcf, "An LCF")
-    _check_shapes(observed.shape, lcf.shape)
-    xp = (lcf if _is_traced(lcf) else observed).__array_namespace__()
-    if _is_traced(lcf):
-        lcf = _within(xp, lcf, -MAX_LCF, MAX_LCF)
+    observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
+    check_shapes(observed.shape, lcf.shape, observation.SIZE, "macid.observation")
+    xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
+    if is_traced(lcf):
+        lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
     else:
-        _check_lcf(np.asarray(lcf))
-    if _is_traced(observed):
+        check_lcf(np.asarray(lcf))
+    if is_traced(observed):
         ray = [0.0, -MOST_READING, -MOST_READING]
         least = xp.asarray([-MOST_READING] * 5 + ray * observation.RAYS, dtype=np.float32)
         known = observed[..., _DISTANCES] < observation.RAY_RANGE
-        observed = _within(xp, observed, least, MOST_READING)
+        observed = within(xp, observed, least, MOST_READING)
     else:
         values = np.asarray(observed)
         _check_observed(values)
@@ -242,45 +233,6 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     miss = xp.asarray([observation.RAY_RANGE, 0.0, 0.0], dtype=np.float32)
     rays = xp.where(known[..., None], rays, miss).reshape(*observed.shape[:-1], 3 * observation.RAYS)
     return xp.concatenate([observed[..., :5], rays], axis=-1), xp.asarray(lcf)
-
-
-def _within(xp, x, least, most):
-    """`x` in [least, most], NaN as 0."""
-    return xp.clip(xp.where(xp.isnan(x), xp.zeros_like(x), x), least, most)
-
-
-def _is_traced(x):
-    """Whether `x` stands for values that JAX doesn't have yet, as under jax.jit."""
-    jax = sys.modules.get("jax")
-    return jax is not None and isinstance(x, jax.core.Tracer)
-
-
-def _numbers(values, what):
-    """`values` as a float32 array, NumPy's or JAX's. Raises ValueError where they are no numbers."""
-    if not hasattr(values, "__array_namespace__"):
-        try:
-            values = np.asarray(values)
-        except (ValueError, TypeError, RuntimeError) as error:  # rows of different lengths; a tensor on a GPU
-            raise ValueError(f"{what} is no array of numbers: {' '.join(str(error).split())[:200]}") from None
-    xp = values.__array_namespace__()
-    if not xp.isdtype(values.dtype, ("bool", "integral", "real floating")):
-        raise ValueError(f"{what} has real numbers, not {'None' if values.dtype == object else values.dtype}.")
-    with np.errstate(over="ignore"):  # to infinity
-        return xp.asarray(values, dtype=np.float32)
-
-
-def _check_shapes(observed, lcf):
-    """Raises ValueError unless the shapes are those of observations (..., 41) and of LCFs that fit them."""
-    if not observed or observed[-1] != observation.SIZE:
-        given = observed[-1] if observed else "one number"
-        raise ValueError(f"An observation has {observation.SIZE} columns (macid.observation), not {given}.")
-    try:
-        fits = np.broadcast_shapes(lcf, observed[:-1]) == tuple(observed[:-1])
-    except ValueError:
-        fits = False
-    if not fits:
-        wanted = f"LCFs {tuple(observed[:-1])} or one for all"
-        raise ValueError(f"Observations {tuple(observed)} take {wanted}, not {tuple(lcf)}.")
 
 
 def _check_observed(observed):
@@ -307,19 +259,12 @@ def _check_observed(observed):
     raise ValueError(f"An observation can't be understood: {where}, is {value:g}; {wanted} is wanted.")
 
 
-def _check_lcf(lcf):
-    """Raises ValueError unless every number of the NumPy array is an LCF."""
-    good = np.abs(lcf) <= MAX_LCF
-    if not good.all():
-        raise ValueError(f"An LCF is a number from -{MAX_LCF:g} to {MAX_LCF:g}, not {lcf[~good].flat[0]:g}.")
-
-
 def policy_names() -> list[str]:
     """Names of the shipped policies: `macid-0` is method macid's seed 0; `macid` alone means its first seed."""
     return assets.names("policies", ".npz")
 
 
-def load_policy(name: str) -> Policy:
+def load_policy(name: str) -> Policy | EncounterPolicy:
     """The policy `name`: a shipped one ("macid", "macid-3"), or a .npz file. Raises ValueError, naming the valid
     ones."""
     path = pathlib.Path(name)
@@ -335,26 +280,36 @@ def load_policy(name: str) -> Policy:
 @functools.lru_cache(64)
 def _made(path, weights, recipe):
     """One Policy for the same content (bytes) of its two files, so that what was compiled for it serves again."""
-    layers, document = _parsed(path, weights, recipe)
+    layers, person, document = _parsed(path, weights, recipe)
     seen = document.get("inputs", "features")
     # A robot's policy is told by its size before its recipe is looked at.
     width = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
     taken, given = layers[0][0].shape[0], layers[-1][0].shape[1]
     for does, found, wanted in (("takes", taken, width), ("gives", given, ACTIONS)):
-        if found != wanted:
+        if not person and found != wanted:
             raise UsageError(f"'{path}' is no pedestrians' policy: it {does} {found} numbers, not {wanted}.")
     convert(document, _Recipe, f"the recipe '{path.with_suffix('.json')}'")
+    if (seen == ENCOUNTERS) != bool(person):
+        raise UsageError(f"'{path}' is not a policy: its recipe's inputs are '{seen}', but its weights are others'.")
     if "period" in document:
         try:
             physics_steps(document["period"])
         except ValueError as error:
             raise UsageError(f"The recipe '{path.with_suffix('.json')}': {error}") from None
-    for array in (array for layer in layers for array in layer):
+    for array in (array for layer in (*layers, *person) for array in layer):
         array.flags.writeable = False
-    return Policy(layers, document)
+    if not person:
+        return Policy(layers, document)
+    try:
+        return EncounterPolicy(layers, document, person)
+    except ValueError as error:
+        raise UsageError(f"'{path}' is not a policy: {error}.") from None
 
 
 _Name = Annotated[str, msgspec.Meta(pattern=r"^[ -~]{1,200}\Z")]  # on one line of any terminal
+
+
+_Speed = Annotated[float, msgspec.Meta(gt=0, le=TOP_SPEED)]
 
 
 class _Recipe(msgspec.Struct):
@@ -363,8 +318,11 @@ class _Recipe(msgspec.Struct):
     name: _Name | msgspec.UnsetType = msgspec.UNSET
     method: _Name | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
-    inputs: Literal["features", "observation"] | msgspec.UnsetType = msgspec.UNSET  # the names of INPUTS
+    inputs: Literal["features", "observation", "encounters"] | msgspec.UnsetType = msgspec.UNSET  # INPUTS, ENCOUNTERS
     period: Annotated[float, msgspec.Meta(gt=0, le=20)] | msgspec.UnsetType = msgspec.UNSET  # [s]
+    radius: Annotated[float, msgspec.Meta(ge=RADII[0], le=RADII[1])] | msgspec.UnsetType = msgspec.UNSET  # [m]
+    preferred_speed: Literal["human"] | _Speed | msgspec.UnsetType = msgspec.UNSET  # as of macid.traits
+    max_speed: _Speed | msgspec.UnsetType = msgspec.UNSET  # [m/s]
     lcf_mean: Annotated[float, msgspec.Meta(ge=-1, le=1)] | msgspec.UnsetType = msgspec.UNSET  # CoPO's own
     lcf_std: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
 
@@ -373,46 +331,14 @@ class _Recipe(msgspec.Struct):
             raise ValueError("lcf_mean and lcf_std come together")
 
 
-def check_layers(layers: Sequence[tuple[Array, Array]]) -> None:
-    """Raises ValueError unless `layers`, [(weight (in, out), bias (out,)), ...], follow on each other, finite."""
-    if not 1 <= len(layers) <= MOST_LAYERS:
-        raise ValueError(f"a network has 1 to {MOST_LAYERS} layers, not {len(layers)}")
-    width = None
-    for number, layer in enumerate(layers):
-        weight, bias = (np.asarray(array) for array in layer)
-        if weight.ndim != 2 or bias.shape != weight.shape[1:] or not weight.size:
-            raise ValueError(
-                f"layer {number} has a weight {weight.shape} and a bias {bias.shape}, not (in, out) and (out,)"
-            )
-        if width not in (None, weight.shape[0]):
-            raise ValueError(f"layer {number} takes {weight.shape[0]} numbers, but the one before gives {width}")
-        for name, array in (("weight", weight), ("bias", bias)):
-            if array.dtype.kind != "f":
-                raise ValueError(f"{name}{number} has numbers of type {array.dtype}, not floats")
-            wrong = ~(np.abs(array, dtype=np.float64) <= MOST_WEIGHT)
-            if wrong.any():
-                told = f"{array[wrong].flat[0]:g}; weights are finite, from -{MOST_WEIGHT:g} to {MOST_WEIGHT:g}"
-                raise ValueError(f"{name}{number} holds {told}")
-        width = weight.shape[1]
-
-
-def write_network(path: str | os.PathLike[str], layers: Sequence[tuple[Array, Array]], recipe: dict[str, Any]) -> None:
-    """Writes `path`.npz (weights and biases of `layers`) and `path`.json (`recipe`), each all or nothing."""
-    path = pathlib.Path(path)
-    found = {}
-    for index, (weight, bias) in enumerate(layers):
-        found[f"weight{index}"], found[f"bias{index}"] = np.asarray(weight), np.asarray(bias)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **found)
-    write_json(path.with_suffix(".json"), recipe)  # first: weights are never without their recipe
-    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
-
-
 def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
-    """What `write_network` wrote to `path` (.npz): (layers, recipe). Raises UsageError (a ValueError) for what is
-    none."""
+    """What `write_network` wrote to `path` (.npz), without an encoder: (layers, recipe). Raises UsageError (a
+    ValueError) for what is none."""
     path = pathlib.Path(path)
-    return _parsed(path, *_contents(path))
+    layers, person, recipe = _parsed(path, *_contents(path))
+    if person:
+        raise UsageError(f"'{path}' is a pedestrians' policy, with an encoder of people.")
+    return layers, recipe
 
 
 def _contents(path):
@@ -422,18 +348,25 @@ def _contents(path):
 
 
 def _parsed(path, weights, recipe):
-    """(layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
+    """(layers, the encoder's layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
     try:
         found, documents = arrays.unpack(io.BytesIO(weights), MOST_POLICY_BYTES)
-        count = max(1, len(found) // 2)
-        wanted = [f"{kind}{number}" for number in range(count) for kind in ("weight", "bias")]
-        if documents or found.keys() != set(wanted):
-            odd = sorted({*found, *documents} - set(wanted)) or sorted(set(wanted) - found.keys())
+        encoder = sum(name.startswith(ENCODER) for name in found) // 2
+        counts = {"": max(1, len(found) // 2 - encoder), ENCODER: encoder}
+        wanted = {
+            prefix: [(f"{prefix}weight{number}", f"{prefix}bias{number}") for number in range(count)]
+            for prefix, count in counts.items()
+        }
+        names = {name for rows in wanted.values() for row in rows for name in row}
+        if documents or found.keys() != names:
+            odd = sorted({*found, *documents} - names) or sorted(names - found.keys())
             told = f"{odd[0][:60]!r} is odd or missing"
             raise ValueError(f"it must hold weight0, bias0, weight1 and so on, and nothing else: {told}")
-        layers = tuple((found[f"weight{number}"], found[f"bias{number}"]) for number in range(count))
+        layers, person = (tuple((found[w], found[b]) for w, b in wanted[prefix]) for prefix in ("", ENCODER))
         check_layers(layers)
+        if person:
+            check_layers(person)
     except ValueError as error:
         raise UsageError(f"'{path}' is not a policy (npz with its json beside it): {error}.") from None
     document = parse(path.with_suffix(".json"), "the policy's recipe", recipe)
-    return layers, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")
+    return layers, person, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")

@@ -18,8 +18,10 @@ from macid.state import MAX_SPEED, RADIUS, TOP_SPEED, Traits
 
 PreferredSpeed: TypeAlias = float | tuple[float, float] | str | None
 HUMAN = "human"  # the preferred speeds of people in the street
-HUMAN_SPEED = (1.34, 0.26)  # mean and standard deviation [m/s]: Weidmann, Transporttechnik der Fussgaenger, 1993
-HUMAN_RANGE = (0.5, 2.0)  # to which the distribution is cut [m/s]
+# Mean and standard deviation [m/s]. The mean is Weidmann's (Transporttechnik der Fussgaenger, 1993); people in the open
+# scenes of macid.human differ by more than his 0.26: their mean speeds have a standard deviation of 0.41.
+HUMAN_SPEED = (1.34, 0.36)
+HUMAN_RANGE = (0.4, 2.0)  # to which the distribution is cut [m/s]
 LEAST_SPEED = 0.1  # [m/s]
 APART = (0.6, 0.8)  # between the centres of companions at the start [m]
 THREES = 0.25  # share of threes among groups, the rest are twos; about as counted by James, Am. Sociol. Rev. 18, 1953

@@ -1,4 +1,4 @@
-"""IPO, MFPO, CoPO, MAC-ID, MAC-ID(tri) and MAC-ID(touch): for each method only what sets it apart.
+"""IPO, MFPO, CoPO, MAC-ID, MAC-ID(tri), MAC-ID(touch) and MAC-ID(human): for each method only what sets it apart.
 
 Each agent maximises c_I A_I + c_N A_N, with coefficients of its LCF (eq. 2). IPO is MAC-ID with the LCF at zero.
 """
@@ -69,6 +69,7 @@ class Method:
     shared: Callable = neighbors_mean  # the neighbourhood's reward
     mean_field: bool = False  # critics see the mean of the neighbours' features and actions beside one's own
     meta: bool = False  # LCFs come from one normal distribution, which a meta step learns (macid.learning.copo)
+    in_scenes: bool = False  # it learns in scenes, from gradients (macid.learning.scene_trainer), not on a level
 
     @property
     def critics(self) -> tuple[str, ...]:
@@ -92,6 +93,7 @@ METHODS = {
             test_lcf=(math.pi / 6, math.pi / 3),
             coordination=trigonometric,
         ),
+        Method("macid-human", lcf=(-2.0, 2.0), in_scenes=True),
         Method("macid-touch", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33), coordination=considerate, shared=cost_of_touch),
     )
 }

@@ -38,9 +38,11 @@ from macid.learning.curves import (
 )
 from macid.learning.jobs import Group, folder_of, train_groups
 from macid.learning.methods import get_method
+from macid.learning.scene_trainer import SceneConfig, SceneTrainer
+from macid.learning.state import SEEDS, TrainState
 from macid.observation import observe
 from macid.pedestrians.learned import to_command
-from macid.policy import INPUTS, Policy, inputs, load_policy, mlp, to_velocity
+from macid.policy import ENCOUNTERS, INPUTS, Policy, inputs, load_policy, mlp, to_velocity
 from macid.reward import WEIGHTS, RewardWeights, individual_reward, neighborhood_mean, neighbors
 from macid.state import GOAL_RADIUS, PHYSICS_STEP, physics_steps
 
@@ -80,6 +82,17 @@ PRESETS = {
         "episode": 1,
         "agent_steps": 50_000_000,
     },
+    # People in small scenes, who learn from gradients instead of samples (macid.learning.scene_trainer), 10 decisions a
+    # second.
+    "human": {
+        "scenes": SceneConfig(),
+        "inputs": ENCOUNTERS,
+        "period": 0.1,
+        "nworld": 1,
+        "rollout": 20,
+        "episode": 20,
+        "agent_steps": 10_000_000,
+    },
     # Two sets with only the paper's batch, epochs and lambda: its method's, then its PPO's. The rest is as in `fast`.
     "paper-batch": {"ppo": learning.PpoConfig()},
     "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
@@ -102,6 +115,9 @@ class TrainConfig:
     reward: RewardWeights = WEIGHTS
     ppo: learning.PpoConfig = PRESETS["fast"]["ppo"]
     inputs: str = "features"  # the networks' inputs, see macid.policy.INPUTS
+    scenes: SceneConfig | None = (
+        None  # learning in scenes (macid.learning.scene_trainer), without level, reward and ppo
+    )
 
     @property
     def name(self) -> str:
@@ -109,12 +125,15 @@ class TrainConfig:
         presets = [
             name
             for name, fields in PRESETS.items()
-            if (fields["ppo"], fields.get("inputs", "features")) == (self.ppo, self.inputs)
+            if (fields.get("ppo"), fields.get("inputs", "features")) == (self.ppo, self.inputs)
         ]
         parts = [get_method(self.method).name]
-        if "fast" not in presets:
+        if self.scenes is not None:
+            if self.scenes != SceneConfig():
+                parts.append("custom")
+        elif "fast" not in presets:
             parts += presets or ["custom"]
-        if self.period != PHYSICS_STEP:
+        if self.period != (PHYSICS_STEP if self.scenes is None else PRESETS["human"]["period"]):
             parts.append(f"{1 / self.period:.3g}hz")
         return "-".join(parts)
 
@@ -124,8 +143,15 @@ class TrainConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
         physics_steps(self.period)
-        if self.inputs not in INPUTS:
-            raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not '{self.inputs}'.")
+        if isinstance(self.scenes, dict):
+            object.__setattr__(self, "scenes", SceneConfig(**self.scenes))
+        in_scenes = get_method(self.method).in_scenes
+        if in_scenes != (self.scenes is not None):
+            needs = "the preset 'human'" if in_scenes else "another preset than 'human'"
+            raise ValueError(f"The method '{self.method}' needs {needs}.")
+        if (self.inputs == ENCOUNTERS) != in_scenes or self.inputs not in (*INPUTS, ENCOUNTERS):
+            choices = ENCOUNTERS if in_scenes else f"one of {', '.join(INPUTS)}"
+            raise ValueError(f"inputs must be {choices}, not '{self.inputs}'.")
         if self.ppo.targets == "episode" and self.episode != 1:
             raise ValueError(
                 f"Returns to the episode's end need rollouts of whole episodes: episode must be 1, not {self.episode}."
@@ -152,22 +178,6 @@ class Walk(NamedTuple):
     lcf: Any
     reached: Any  #: goals reached in this episode so far
     contact: Any  #: steps of 0.02 s in contact, in this episode so far
-
-
-class TrainState(NamedTuple):
-    """The whole state that a training carries from one iteration to the next."""
-
-    parameters: Any
-    optimizer: Any
-    meta: Any  #: CoPO's distribution of LCFs; None in the other methods
-    walk: Walk
-    figures: Any  #: {name: scalar} of the last whole episode, or of the first one so far
-    key: Any
-    iteration: Any
-
-
-# Seeds trained at once lie along a leading axis of all but the iteration, which they share.
-_SEEDS = TrainState._make((0, 0, 0, 0, 0, 0, None))
 
 
 def _figures(walk):
@@ -243,7 +253,7 @@ class Trainer:
         return one._replace(iteration=states.iteration)
 
     def _iterate_seeds(self, states):
-        states, log = jax.vmap(self._iterate, (_SEEDS,), (_SEEDS, 0))(states)
+        states, log = jax.vmap(self._iterate, (SEEDS,), (SEEDS, 0))(states)
         return self._spread(states), log
 
     def _spread(self, states):
@@ -263,6 +273,10 @@ class Trainer:
         if self.config.nworld % devices:
             raise ValueError(f"Neither {seeds} seeds nor {self.config.nworld} worlds divide among {devices} devices.")
         return laid(states._replace(walk=None))._replace(walk=laid(states.walk, None, "device"))
+
+    def check(self) -> None:
+        """Raises EngineOverflow where the engine had too little room (`Engine.check`)."""
+        self.engine.check()
 
     def policy(self, state: TrainState, recipe: dict[str, Any]) -> Policy:
         """The Policy of a TrainState."""
@@ -522,7 +536,8 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
     folders = [training_folder(path, each, resume) for path, each in zip(paths, configs, strict=True)]
     saved = read_checkpoint(folders[0], _Noted)
     several = kind.shards and jax.device_count() > 1
-    trainer = Trainer(config, jax.devices() if several else None)
+    make = Trainer if config.scenes is None else SceneTrainer
+    trainer = make(config, jax.devices() if several else None)
     states, curves, spent = trainer.init_seeds([each.seed for each in configs]), [[] for _ in configs], 0.0
     if saved:
         states, curves, spent = _restored(*saved, folders[0] / CHECKPOINT, configs, states)
@@ -545,7 +560,7 @@ def _train(configs, paths, resume, show, minutes_between_checkpoints, held):
             try:
                 following, logs = trainer.iterate_seeds(states)
                 logs = jax.device_get(logs)
-                trainer.engine.check()
+                trainer.check()
             except KeyboardInterrupt:
                 if done > begun:
                     save()

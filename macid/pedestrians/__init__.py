@@ -50,9 +50,10 @@ def _learned(name: str) -> Callable[[float], Controller]:
     policy = load_policy(name)
 
     def make(period: float) -> Controller:
-        from macid.pedestrians.learned import Learned
+        from macid.encounter_policy import EncounterPolicy
+        from macid.pedestrians.learned import Learned, LearnedEncounters
 
-        return Learned(policy, period)
+        return LearnedEncounters(policy, period) if isinstance(policy, EncounterPolicy) else Learned(policy, period)
 
     return make
 

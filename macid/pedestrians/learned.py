@@ -12,8 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from macid import encounters, geometry
+from macid.encounter_policy import EncounterPolicy
 from macid.geometry import Array
 from macid.observation import COLUMNS, RAY_RANGE, RAYS, SIZE, observe
+from macid.pedestrians.facing import face_velocity
 from macid.policy import Policy, to_velocity
 from macid.state import MAX_LCF, MAX_SPEED, CrowdState
 
@@ -67,3 +70,27 @@ class Learned:
             capped = jnp.minimum(velocity[..., 0], most)
             velocity = jnp.stack([capped, velocity[..., 1]], axis=-1)
         return to_command(velocity, state.yaw)
+
+
+@dataclass(frozen=True)
+class LearnedEncounters:
+    """An EncounterPolicy's mean action, from `macid.encounters`. `lcf` sets each person's temper."""
+
+    policy: EncounterPolicy
+    period: float = 0.1  #: between two decisions [s]
+
+    def __call__(self, state: CrowdState, boxes: Array, goals: Array, lcf: Array) -> Array:
+        """World-frame velocity [m/s] and yaw rate [rad/s]: (..., K, 3); see macid.pedestrians."""
+        state, goals = jax.tree.map(jnp.asarray, state), jnp.asarray(goals)
+        observed = jnp.asarray(encounters.observe(state, jnp.asarray(boxes), goals), jnp.float32)
+        velocity = self.policy.velocity(observed, jnp.asarray(lcf, jnp.float32), self.period)
+        return goal_command(velocity, state, goals, self.period)
+
+
+def goal_command(velocity: Array, state: CrowdState, goals: Array, period: float) -> Array:
+    """The command (..., K, 3) of people who want `velocity` (..., K, 2) [m/s], in the goal's frame, for `period` [s];
+    no faster than their traits allow."""
+    velocity = geometry.from_frame(velocity, encounters.towards(state, goals))
+    most = MAX_SPEED if state.traits.max_speed is None else state.traits.max_speed
+    velocity = velocity * jnp.minimum(1.0, most / jnp.maximum(geometry.norm(velocity), 1e-6))[..., None]
+    return face_velocity(velocity, state.yaw, period)
