@@ -145,7 +145,12 @@ def test_those_who_meet_soonest_are_seen_though_others_are_nearer():
     velocity = np.zeros((number, 2))
     velocity[-1] = [-2.0, 0.0]
     state = CrowdState(
-        position, np.zeros(number), velocity, np.zeros(number), np.zeros(number, bool), Traits(radius=np.full(number, 0.2))
+        position,
+        np.zeros(number),
+        velocity,
+        np.zeros(number),
+        np.zeros(number, bool),
+        Traits(radius=np.full(number, 0.2)),
     )
     people = split(encounters.observe(state, EMPTY, np.full((number, 2), [20.0, 0.0])))[1]
     assert people[0, 0, 1:3] == pytest.approx([8.0, 0.1])
