@@ -137,7 +137,7 @@ class Crowd:
         config, number, radius = self.config, self.config.number, self.config.person.radius
         starts = np.stack([sample_people(rng, self.layout, number, radius=radius) for _ in range(nworld)])
         goals = [sample_goals(rng, self.layout, s, config.goal_distance, radius=radius) for s in starts]
-        goals, lcf = np.stack(goals), rng.uniform(*lcf, (nworld, number))
+        goals, each = np.stack(goals), rng.uniform(*lcf, (nworld, number))
         drawn = []  # after all else, which stays the same without
         for world in range(nworld):
             group, wanted = None, traits.draw_preferred_speed(rng, config.preferred_speed, number)
@@ -145,7 +145,7 @@ class Crowd:
                 found = traits.gather(rng, self.layout, starts[world], goals[world], config.companions, radius)
                 starts[world], goals[world], group = found
             drawn.append(traits.make_traits(radius, wanted, config.max_speed, group, number))
-        return starts, goals, lcf, jax.tree.map(lambda *each: np.stack(each), *drawn)
+        return starts, goals, each, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)
 
     def begin(self, starts: np.ndarray, goals: np.ndarray, lcf: np.ndarray, traits: Traits = PAPER_TRAITS) -> Episode:
         """The episodes of people who stand at `starts` and go to `goals`, (nworld, K, 2) [m], with the LCFs `lcf` and

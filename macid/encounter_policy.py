@@ -113,25 +113,27 @@ class EncounterPolicy:
         policy = self
 
         class TorchPolicy(torch.nn.Module):
+            person: Any
+            head: Any
+
             def __init__(self):
                 super().__init__()
                 for name, layers in policy.network.items():
-                    linears = torch.nn.ModuleList()
+                    linears = torch.nn.ModuleList()  # self.person and self.head
                     for weight, bias in layers:
                         linear = torch.nn.Linear(*weight.shape)
                         linear.weight.data = torch.as_tensor(np.array(weight).T.copy())
                         linear.bias.data = torch.as_tensor(np.array(bias))
                         linears.append(linear)
                     setattr(self, name, linears)
-                least, most = (torch.as_tensor(np.array(limit)) for limit in _LIMITS)
-                self.register_buffer("least", least, persistent=False)
-                self.register_buffer("most", most, persistent=False)
 
             def forward(self, observed, lcf):
-                observed = torch.as_tensor(observed).to(self.least)
-                lcf = torch.as_tensor(lcf).to(self.least).nan_to_num().clamp(-MAX_LCF, MAX_LCF)
+                like = self.head[0].weight
+                least, most = (torch.as_tensor(np.array(limit)).to(like) for limit in _LIMITS)
+                observed = torch.as_tensor(observed).to(like)
+                lcf = torch.as_tensor(lcf).to(like).nan_to_num().clamp(-MAX_LCF, MAX_LCF)
                 observed = observed.nan_to_num(posinf=math.inf, neginf=-math.inf)
-                observed = torch.minimum(torch.maximum(observed, self.least), self.most)
+                observed = torch.minimum(torch.maximum(observed, least), most)
                 own, people = observed[..., : encounters.OWN_SIZE], observed[..., encounters.OWN_SIZE :]
                 people = people.unflatten(-1, (encounters.PEOPLE, encounters.PERSON_SIZE))
                 place = people[..., 1:3]
@@ -179,15 +181,14 @@ class EncounterPolicy:
         return TorchPolicy()
 
 
-def _limits():
+def _limits() -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest number of each column of an observation: two arrays (encounters.SIZE,)."""
-    most = np.float32(MOST_READING)
+    most = MOST_READING
     own_least = [0.0, -most, -most, 0.0, 0.0, 0.0] + [0.0] * encounters.WALL_RAYS
     own_most = [most, most, most, most, most, 1.0] + [encounters.WALL_RANGE] * encounters.WALL_RAYS
-    least = [0.0, -most, -most, -most, -most, 0.0, 0.0]
-    most = [1.0, most, most, most, most, encounters.MOST_TIME, 1.0]
-    people = encounters.PEOPLE
-    return np.float32(own_least + least * people), np.float32(own_most + most * people)
+    least = [0.0, -most, -most, -most, -most, 0.0, 0.0] * encounters.PEOPLE
+    greatest = [1.0, most, most, most, most, encounters.MOST_TIME, 1.0] * encounters.PEOPLE
+    return np.array(own_least + least, np.float32), np.array(own_most + greatest, np.float32)
 
 
 _LIMITS = _limits()

@@ -99,7 +99,8 @@ def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False) -
     """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
     *fields, traits = zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)
     each = zip(*traits, strict=True)
-    return Drawn(*map(np.stack, fields), Traits(*(None if one[0] is None else np.stack(one) for one in each)))
+    stacked: list[Any] = [np.stack(field) for field in fields]
+    return Drawn(*stacked, Traits(*(None if one[0] is None else np.stack(one) for one in each)))
 
 
 class _Worker:

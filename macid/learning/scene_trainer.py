@@ -284,8 +284,8 @@ class SceneTrainer:
 
     def init(self, seed: int | None = None) -> TrainState:
         """The TrainState of `seed` (default: the config's) before the first iteration."""
-        seed = self.config.seed if seed is None else seed
-        key, key_person, key_head, key_walk = jax.random.split(jax.random.key(seed), 4)
+        begin: int = self.config.seed if seed is None else seed
+        key, key_person, key_head, key_walk = jax.random.split(jax.random.key(begin), 4)
         encoded = networks.ENCODED
         network = {
             "person": init_mlp(key_person, (networks.PERSON, encoded, encoded + 1), 1.0),
