@@ -99,8 +99,8 @@ def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False) -
     """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
     *fields, traits = zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)
     each = zip(*traits, strict=True)
-    stacked: list[Any] = [np.stack(field) for field in fields]
-    return Drawn(*stacked, Traits(*(None if one[0] is None else np.stack(one) for one in each)))
+    together = Traits(*(None if one[0] is None else np.stack(one) for one in each))
+    return Drawn._make([*map(np.stack, fields), together])
 
 
 class _Worker:
