@@ -54,7 +54,7 @@ def _told(document):
     if "radius" not in document:
         return ["a recording, through the same code as models"]
     told = [f"radius {document['radius']:g} m", f"a decision every {document['period']:g} s"]
-    told.append(f"{document['seeds']} seeds")
+    told.append(f"{document['seeds']} seed{'' if document['seeds'] == 1 else 's'}")
     if document["lcf"]:
         told.append("LCF {:g} to {:g}".format(*document["lcf"]))
     if document["preferred_speed"] is not None:
