@@ -27,7 +27,7 @@ from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
 from macid.learning.curves import completed, plain
-from macid.learning.methods import METHODS
+from macid.learning.methods import LEVEL_METHODS, METHODS
 from macid.learning.train import TrainConfig, preset, train, train_apart
 from macid.metrics import rank_correlation
 from macid.policy import load_policy
@@ -66,7 +66,7 @@ PAPER_TABLE_1 = (
 def wanted(agent_steps, seeds=None):
     """The trainings that the tables are made of, and how many seeds of each (`seeds`, if given): {TrainConfig:
     count}."""
-    usual = [TrainConfig(method=method) for method in METHODS]
+    usual = [TrainConfig(method=method) for method in LEVEL_METHODS]
     others = [preset(name, method="ipo") for name in ("paper-batch", "paper-ppo")]
     slower = [TrainConfig(method=method, period=period) for period in PERIODS for method in ("ipo", "copo", "macid")]
     groups = [(usual, SEEDS, 1.0), (others, OTHERS_SEEDS, 1.0), (slower, OTHERS_SEEDS, SLOWER)]

@@ -93,10 +93,12 @@ METHODS = {
             test_lcf=(math.pi / 6, math.pi / 3),
             coordination=trigonometric,
         ),
-        Method("macid-human", lcf=(-2.0, 2.0), in_scenes=True),
         Method("macid-touch", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33), coordination=considerate, shared=cost_of_touch),
+        Method("macid-human", lcf=(-2.0, 2.0), in_scenes=True),
     )
 }
+#: Those that learn on a level, with the first observation: the tables compare these.
+LEVEL_METHODS = [method.name for method in METHODS.values() if not method.in_scenes]
 
 
 def _own(found, name):

@@ -82,6 +82,9 @@ PRESETS = {
         "episode": 1,
         "agent_steps": 50_000_000,
     },
+    # Two sets with only the paper's batch, epochs and lambda: its method's, then its PPO's. The rest is as in `fast`.
+    "paper-batch": {"ppo": learning.PpoConfig()},
+    "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
     # People in small scenes, who learn from gradients instead of samples (macid.learning.scene_trainer), 10 decisions a
     # second.
     "human": {
@@ -93,9 +96,6 @@ PRESETS = {
         "episode": 20,
         "agent_steps": 10_000_000,
     },
-    # Two sets with only the paper's batch, epochs and lambda: its method's, then its PPO's. The rest is as in `fast`.
-    "paper-batch": {"ppo": learning.PpoConfig()},
-    "paper-ppo": {"ppo": learning.PpoConfig(batch=128, epochs=10)},
 }
 
 

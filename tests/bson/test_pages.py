@@ -94,7 +94,8 @@ def test_a_cards_command_trains_its_family():
         first, *_ = between("assets/policies/README.md", f"card-{family}")
         words = re.match(r"Made by `macid ([^`]+)`", first)[1]
         args = macid_cli.parser().parse_args(words.split())
-        config = preset(args.preset, method=args.method, period=args.period, agent_steps=int(args.agent_steps))
+        given = {} if args.period is None else {"period": args.period}
+        config = preset(args.preset, method=args.method, agent_steps=int(args.agent_steps), **given)
         recipe = load_policy(members[0]).recipe
         assert (config.name, config.agent_steps) == (family, recipe["agent_steps"])
         assert (config.ppo.lam, config.ppo.batch) == (recipe["ppo"]["lam"], recipe["ppo"]["batch"])

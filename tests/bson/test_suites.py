@@ -69,7 +69,7 @@ def test_streets_have_people_as_they_are():
     for cell in street.cells:
         drawn = [spawn(cell.config, np.random.default_rng(seed)) for seed in street.seeds[:8]]
         speeds = np.concatenate([each.traits.preferred_speed for each in drawn])
-        assert speeds.mean() == pytest.approx(1.34, abs=0.08) and speeds.std() == pytest.approx(0.26, abs=0.06)
+        assert speeds.mean() == pytest.approx(1.34, abs=0.08) and speeds.std() == pytest.approx(0.33, abs=0.06)
         together = [np.bincount(each.traits.group)[each.traits.group] > 1 for each in drawn]
         assert 0.44 <= np.mean(together) <= 0.76
         assert all((each.traits.radius == np.float32(0.2)).all() for each in drawn)

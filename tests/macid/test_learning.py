@@ -150,7 +150,7 @@ def test_who_touches_somebody_pays_for_them_and_for_nobody_else():
     np.testing.assert_array_equal(first[:, 2:], 0.0)
 
 
-@pytest.mark.parametrize("method", methods.METHODS)
+@pytest.mark.parametrize("method", methods.LEVEL_METHODS)
 def test_every_method_learns_from_its_own_signal(method):
     trainer = Trainer(dataclasses.replace(TINY, method=method))
     begin = trainer.init()
@@ -518,3 +518,19 @@ def test_without_tensorboard_one_line_says_what_to_install(tmp_path, package):
     wanted = "--tensorboard needs tensorboard: pip install 'bson-macid[tensorboard]'."
     assert told.stderr.splitlines() == [f"{package}: error: {wanted}"]
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+def test_people_learn_in_scenes_and_are_read_as_they_were_written(tmp_path):
+    short = preset("human", method="macid-human", agent_steps=3 * 20 * 376)
+    (whole,) = train(short, tmp_path / "whole", show=lambda line: None)
+    assert short.name == "macid-human"
+    read = load_policy(str(tmp_path / "whole" / "macid-human-0" / "policy.npz"))
+    assert read.recipe["radius"] == 0.2 and read.recipe["preferred_speed"] == "human"
+    for layers, others in zip(whole.network.values(), read.network.values(), strict=True):
+        for (weight, bias), (weight_read, bias_read) in zip(layers, others, strict=True):
+            assert (weight == weight_read).all() and (bias == bias_read).all()
+    with pytest.raises(ValueError, match="needs the preset 'human'"):
+        preset("fast", method="macid-human")
+    with pytest.raises(ValueError, match="another preset"):
+        preset("human", method="macid")

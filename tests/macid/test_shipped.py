@@ -14,7 +14,7 @@ def test_a_policy_has_the_name_of_its_method_preset_and_period(name):
     fields = {field: have[field] for field in ("method", "level", "seed", "engine", "nworld", "period", "agent_steps")}
     of_this_recipe = [
         config.name
-        for config in (preset(each, **fields) for each in PRESETS)
+        for config in (preset(each, **fields) for each in PRESETS if "scenes" not in PRESETS[each])
         if all(have[field] == value for field, value in plain(config).items())
     ]
     assert of_this_recipe == [recipe["name"]] and name == f"{recipe['name']}-{recipe['seed']}"

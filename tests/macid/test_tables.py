@@ -11,7 +11,7 @@ import pytest
 
 from macid import assets
 from macid.evaluate import TOLERATED
-from macid.learning.methods import METHODS
+from macid.learning.methods import LEVEL_METHODS
 from macid.policy import load_policy, policy_names
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -127,7 +127,7 @@ def test_wrong_requests_are_told(made_up, monkeypatch, capsys):
 
 def test_the_pages_table_is_of_the_shipped_policies():
     lines = (ROOT / "macid" / "README.md").read_text().splitlines()
-    for method in METHODS:
+    for method in LEVEL_METHODS:
         names = [name for name in policy_names() if name.rpartition("-")[0] == method]
         scores = [load_policy(name).recipe["scores"] for name in names]
         values = [[score[f"Lv.{level}"][c] for level in (1, 2, 3, 4) for c in tables.COLUMNS] for score in scores]
