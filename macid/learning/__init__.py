@@ -1,1 +1,1 @@
-"""Training of pedestrians by multi-agent PPO: the six methods of `methods.METHODS` on one loop."""
+"""Training of pedestrians: six methods by multi-agent PPO on one loop, and MAC-ID(human) in scenes, by gradients."""

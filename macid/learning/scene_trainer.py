@@ -6,7 +6,7 @@ through the person's own decisions alone, and so each learns its best answer to 
 are those of the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient),
 which holds but for contacts.
 
-What a person wants, per second (`Costs`): to walk at its preferred speed to its goal; not to change its velocity; and,
+What a person wants, per second (`costs`): to walk at its preferred speed to its goal; not to change its velocity; and,
 with the weight 1 + care LCF, not to come close to a collision and not to touch. A collision course costs both people
 the same, so that the LCF says how much the others' costs count beside one's own, which is eq. 2's role.
 """

@@ -194,7 +194,6 @@ def _draw_one(scene, rng, radius, companions):
     number = int(rng.integers(scene.fewest, scene.number + 1))
     loops, gates = scene.loops.shape[:2]
     group = _groups(rng, number, companions)
-    leads = np.unique(group)
     loop_of, first_of = rng.integers(loops, size=number), _weighted(rng, scene, number)
     position, taken = np.zeros((number, 2)), np.empty((0, 2))
     boxes = scene.layout.boxes
@@ -246,7 +245,6 @@ def _draw_one(scene, rng, radius, companions):
         loops_of = np.concatenate([loops_of, rows])
         first = np.concatenate([first, np.zeros(alone, int)])
         group = np.concatenate([group, slots])
-    assert len(leads)
     return position, loops_of, first.astype(np.int32), group.astype(np.int32)
 
 
