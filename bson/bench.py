@@ -93,9 +93,7 @@ def run(
 
     Raises ValueError for a sensor set that is not among SENSORS.
     """
-    for sensor in sensors:
-        if sensor not in SENSORS:
-            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    _check_sensors(sensors)
     show(machine())
     show(f"pedestrians: {model}; control step 0.1 s = 5 physics steps; {seconds:g} s a case")
     show(f"{'people':>7}{'worlds':>8}{'sensor':>10}{'control steps/s':>17}{'in MuJoCo':>11}")
@@ -224,9 +222,7 @@ def run_recording(
 ) -> list[dict[str, Any]]:
     """Prints what writing bags takes, a line a case as it is measured; returns its rows as dicts. Raises ValueError for
     a sensor set that is not among SENSORS."""
-    for sensor in sensors:
-        if sensor not in SENSORS:
-            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    _check_sensors(sensors)
     show(machine())
     show(f"writing a bag of {seconds:g} s of an episode, without simulating it (CPU time); pedestrians: {model}")
     show(f"{'people':>7}{'sensor':>10}{'seconds':>10}{'MB':>8}")
@@ -237,3 +233,10 @@ def run_recording(
         rows.append({"people": number, "sensor": sensor, "of": seconds, "seconds": spent, "bytes": size})
         show(f"{number:>7}{sensor:>10}{spent:>10.2f}{size / 1e6:>8.2f}")
     return rows
+
+
+def _check_sensors(sensors):
+    """Raises ValueError for a sensor set that is not among SENSORS."""
+    for sensor in sensors:
+        if sensor not in SENSORS:
+            raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")

@@ -219,7 +219,8 @@ def _draw_one(scene, rng, radius, companions):
         position[person] = spot
         taken = np.concatenate([taken, spot[None]])
     loops_of = scene.loops[loop_of[group]].copy()
-    if scene.name == "open":
+    anywhere = not scene.loops[..., 4].any()  # its gates are places, drawn for each person
+    if anywhere:
         half = scene.layout.size / 2 - 0.7
         targets = rng.uniform(-half, half, (number, gates, 2))
         for step in range(gates):  # each goal at least 6 m from the one before
@@ -232,7 +233,7 @@ def _draw_one(scene, rng, radius, companions):
         beside = position - position[group]  # companions' goals lie side by side, as they stand
         targets = np.clip(targets[group] + beside[:, None], -half, half)
         loops_of[:, :, :2] = targets
-    first = np.where(scene.name == "open", 0, first_of[group])
+    first = np.where(anywhere, 0, first_of[group])
     alone = scene.number - number
     if alone:
         slots = np.arange(number, scene.number)
