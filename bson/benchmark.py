@@ -40,6 +40,7 @@ def evaluate(
     agent: Any,
     suite: str = "paper",
     *,
+    passphrase: str | None = None,
     out: str | pathlib.Path | None = None,
     episodes: int | None = None,
     seed: int = 0,
@@ -66,18 +67,19 @@ def evaluate(
     """Scores an agent on a suite, as `bson evaluate` does; returns the Results.
 
     agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
-    (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
-    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds; another number for another set of
-    seeds of the same kind. track, sensor: as for bson.episodes.tracks.make_track (default: what the agent wants).
-    overrides: fields of TaskConfig that are changed. paired: also plays each episode without the robot. metrics: the
-    user's own metrics, each `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: the number
-    of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
-    evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
-    "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
-    stamped, real_time, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2: whether it
-    sends TwistStamped, not Twist; whether the world takes a control step each period and does not wait for a command;
-    how long a command may take in lockstep [s]. command: the command that `results.json` names as its origin. told:
-    called with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
+    (see bson.agents). suite: its name. passphrase: of the suite "held-out", which needs one. out: folder for
+    results.json, report.html and videos/; None: nothing is written. episodes: only the first so many of each cell.
+    seed: 0 for the suite's own seeds; another number for another set of seeds of the same kind. track, sensor: as for
+    bson.episodes.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that are changed.
+    paired: also plays each episode without the robot. metrics: the user's own metrics, each `module:function` or
+    `file.py:function` (see bson.evaluation.metrics). videos: the number of films. record: also writes the worst and the
+    best episode to `out`/bags (see `record`). resume: goes on with the evaluation that was cut short in `out`.
+    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
+    episodes of a cell at once on a device, for agents that are learned policies. stamped, real_time, timeout: of the
+    agent "ros", which is whatever drives on the other side of ROS 2: whether it sends TwistStamped, not Twist; whether
+    the world takes a control step each period and does not wait for a command; how long a command may take in lockstep
+    [s]. command: the command that `results.json` names as its origin. told: called with the Results once they are
+    written, before anything is filmed. quiet: no progress on stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
     with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
@@ -97,8 +99,8 @@ def evaluate(
     own = own_metrics(metrics)
     if resume and out is None:
         raise UsageError("resume goes on with what is in the folder `out`: give it.")
-    chosen = load_suite(suite)
-    seeds = chosen.drawn(episodes, seed)
+    chosen = load_suite(suite, passphrase)
+    seeds = chosen.of_cells(episodes, seed)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
     if agent == ROS and (executor != "local" or engine != "native"):
         raise UsageError("The agent 'ros' drives one world in this process: leave --executor and --engine out.")
@@ -106,8 +108,8 @@ def evaluate(
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells], seen)
-    for cell in cells:
-        _check_spawn(cell.config, seeds)
+    for cell, each in zip(cells, seeds, strict=True):
+        _check_spawn(cell.config, each)
     follows_from = basis(name, wanted, cells, paired)
     if engine != "native":
         check_engine(engine, agent, wanted, executor, paired)
@@ -124,7 +126,8 @@ def evaluate(
             held.enter_context(lock_folder(folder))
             unfinished = Unfinished(folder, follows_from, resume)
         found = [
-            {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
+            {one: episode for one in each if unfinished and (episode := unfinished.load(cell, one))}
+            for cell, each in zip(cells, seeds, strict=True)
         ]
         if agent == ROS:
             make_agent = held.enter_context(_on_the_wire(stamped, real_time, timeout))

@@ -1,0 +1,225 @@
+"""What results say of agents beyond these episodes and these trainings: intervals over training seeds and episodes,
+interquartile means, and the probability that one agent does better than another.
+
+Several runs are evaluations of policies that differ by their training seed alone, on the same episodes. All intervals
+are 95% percentile bootstrap intervals by scipy.stats.bootstrap from a fixed seed. What is drawn anew, with replacement:
+
+- the training seeds of each agent, where it has several, independently of another agent's;
+- the episodes, once for all runs, since every run meets the same people on the same map in an episode. So what is hard
+  about an episode is no news from each run, and what is good about a run is no news from each episode: both levels
+  enter the interval, as in a two-way layout (Owen 2007, "The pigeonhole bootstrap").
+
+With one run of each agent only episodes are drawn, and the interval is that of bson.evaluation.metrics.summarise. Few
+training seeds make an interval too narrow, as a bootstrap knows no more of their spread than they show: among three
+seeds it is sqrt(2/3) of the true one. LEAST_SEEDS is where a reader is told.
+"""
+
+import itertools
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bson.evaluation.metrics import summarise
+
+RESAMPLES = 9999
+LEAST_SEEDS = 5  # with fewer training seeds an interval over them is told to be too narrow
+TRIMMED = 0.25  # of the values, at either end, that an interquartile mean leaves out
+_AT_ONCE = 1 << 21  # numbers drawn at once, 16 MB
+
+
+class Estimate(NamedTuple):
+    """A figure with its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def estimate(statistic: Callable[..., Any], levels: Sequence[int], size: int = 0) -> Estimate:
+    """A statistic of levels that are drawn anew, each by itself, with its interval.
+
+    levels: the number of things of each level, such as (runs, episodes). statistic(*drawn): called with the indices
+    (..., n) of what is drawn of each level; gives (...). A level with one thing is always that thing. size: how many
+    numbers it takes for one draw, where that is more than the indices. Draws without a value (NaN) do not enter.
+    """
+    from scipy import stats
+
+    several = [count for count in levels if count > 1]
+
+    def of(*drawn, axis=-1):
+        given = iter(drawn)
+        one = np.zeros((*drawn[0].shape[:-1], 1), int)
+        return statistic(*(next(given) if count > 1 else one for count in levels))
+
+    if not several:
+        value = float(statistic(*(np.zeros(1, int) for _ in levels)))
+        return Estimate(value, value, value)
+    everything = [np.arange(count) for count in several]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # of draws without a value
+        found = stats.bootstrap(
+            everything,
+            of,
+            n_resamples=RESAMPLES,
+            batch=max(1, _AT_ONCE // max(size, sum(several))),
+            vectorized=True,
+            method="percentile",
+            rng=np.random.default_rng(0),
+        )
+    low, high = np.nanpercentile(found.bootstrap_distribution, [2.5, 97.5])
+    return Estimate(float(of(*everything)), float(low), float(high))
+
+
+def _counts(drawn, count):
+    """How often each of `count` things is among the indices `drawn` (..., n): (..., count)."""
+    rows = drawn.reshape(-1, drawn.shape[-1])
+    places = (rows + count * np.arange(len(rows))[:, None]).ravel()
+    return np.bincount(places, minlength=count * len(rows)).reshape(*drawn.shape[:-1], count)
+
+
+def _sums(values, weights):
+    """The sums (...) of `values` (n1, ..., nk) times the weights (..., n1), ..., (..., nk) of each level."""
+    lead = weights[0].shape[:-1]
+    flat = [weight.reshape(-1, weight.shape[-1]).astype(float) for weight in weights]
+    found = np.tensordot(flat[-1], values, axes=(1, values.ndim - 1))  # (draws, n1, ...)
+    for weight in flat[:-1]:
+        found = np.einsum("dn...,dn->d...", found, weight)
+    return found.reshape(lead)
+
+
+def _mean(values):
+    """The statistic of `estimate` that is the mean of `values` (n1, ..., nk) of what is drawn; NaN does not enter."""
+    known = np.isfinite(values)
+    filled, known = np.where(known, values, 0.0), known.astype(float)
+
+    def statistic(*drawn):
+        weights = [_counts(each, count) for each, count in zip(drawn, values.shape, strict=True)]
+        with np.errstate(invalid="ignore"):
+            return _sums(filled, weights) / _sums(known, weights)
+
+    return statistic
+
+
+def mean(values: np.ndarray) -> Estimate:
+    """The mean over runs and episodes, of `values` (runs, episodes), where NaN does not enter."""
+    values = values[:, np.isfinite(values).any(axis=0)]
+    return estimate(_mean(values), values.shape)
+
+
+def interquartile_mean(values: np.ndarray) -> Estimate:
+    """The interquartile mean (IQM) of `values` (runs, episodes): the mean of the middle half of all runs' episodes
+    together, without the least and the greatest quarter (Agarwal et al. 2021, "Deep reinforcement learning at the edge
+    of the statistical precipice"). One failed episode in four does not move it, nor does one lucky one."""
+    from scipy import stats
+
+    def statistic(runs, episodes):
+        picked = values[runs[..., :, None], episodes[..., None, :]]
+        return stats.trim_mean(picked.reshape(*picked.shape[:-2], -1), TRIMMED, axis=-1)
+
+    return estimate(statistic, values.shape, values.size)
+
+
+class Improvement(NamedTuple):
+    """How likely one agent does better than another: `paired` on the same episode, `unpaired` on any two episodes of
+    the same cell; ties: the share of the pairs that neither wins, of each."""
+
+    paired: Estimate
+    paired_ties: float
+    unpaired: Estimate
+    unpaired_ties: float
+
+
+def improvement(ours: np.ndarray, theirs: np.ndarray, cells: np.ndarray, better: str = "up") -> Improvement:
+    """The probability of improvement P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021; the Mann-Whitney statistic).
+
+    ours, theirs: (runs, episodes) of X and of Y, the same episodes; cells: (episodes,) each one's cell. X and Y are a
+    run of each, drawn at random. better: "up", or "down" where less is better: X > Y is then X < Y. Paired, both play
+    the same episode. Unpaired, each plays an episode of its own of the same cell: what lies between two people who sit
+    different exams of the same kind. An interval beyond 0.5 bears out that X does better. Where either has no value
+    (NaN), the pair does not enter.
+    """
+    sign = -1.0 if better == "down" else 1.0
+    x, y = sign * ours, sign * theirs
+    return Improvement(*_paired(x, y), *_unpaired(x, y, cells))
+
+
+def _wins(x, y):
+    """1 where x > y, 1/2 where they are equal, 0 where x < y, and NaN where either is; and whether they are equal."""
+    known = np.isfinite(x) & np.isfinite(y)
+    equal = np.where(known, x == y, np.nan)
+    return np.where(known, (x > y) + 0.5 * (x == y), np.nan), equal
+
+
+def _paired(x, y):
+    won, equal = _wins(x[:, None], y[None])  # (runs, runs, episodes)
+    return estimate(_mean(won), won.shape, won.shape[0] * won.shape[1]), float(np.nanmean(equal))
+
+
+def _unpaired(x, y, cells):
+    places = [np.flatnonzero(cells == cell) for cell in dict.fromkeys(cells)]
+    blocks = [_wins(x[:, None, here, None], y[None, :, None, here]) for here in places]  # (runs, runs, n, n)
+
+    def statistic(*drawn):
+        ours, theirs, of_x, of_y = (
+            _counts(each, count) for each, count in zip(drawn, (len(x), len(y), len(cells), len(cells)), strict=True)
+        )
+        won, total = 0.0, 0.0
+        for here, (wins, _) in zip(places, blocks, strict=True):
+            weights, known = (ours, theirs, of_x[..., here], of_y[..., here]), np.isfinite(wins)
+            won += _sums(np.where(known, wins, 0.0), weights)
+            total += _sums(known.astype(float), weights)
+        with np.errstate(invalid="ignore"):
+            return won / total
+
+    levels = (len(x), len(y), len(cells), len(cells))
+    ties = np.nanmean(np.concatenate([equal.ravel() for _, equal in blocks]))
+    return estimate(statistic, levels, len(x) * len(y) * len(cells)), float(ties)
+
+
+def table(runs: Sequence[Sequence[dict[str, float]]], name: str) -> np.ndarray:
+    """The metric `name` of several runs of the same episodes, each a list of dicts of
+    bson.evaluation.metrics.measure: (runs, episodes), NaN where it is infinite."""
+    values = np.array([[row[name] for row in rows] for rows in runs], dtype=float)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def summarise_runs(runs: Sequence[Sequence[dict[str, float]]]) -> dict[str, dict[str, Any]]:
+    """As bson.evaluation.metrics.summarise, of several runs of the same episodes: means over runs and episodes, with
+    intervals over both. One run: the same as summarise."""
+    if len(runs) == 1:
+        return summarise(list(runs[0]))
+    return _summary({name: table(runs, name) for name in runs[0][0]})
+
+
+def _summary(tables):
+    """{metric: {"mean", "low", "high", "count"}} of {metric: values, the episodes last}."""
+    found = {}
+    for name, values in tables.items():
+        if np.isfinite(values).any():
+            values = values[..., np.isfinite(values).any(axis=tuple(range(values.ndim - 1)))]
+            row = estimate(_mean(values), values.shape, int(np.prod(values.shape[:-1])))
+            count = int(np.isfinite(values).sum())
+            found[name] = {"mean": row.value, "low": row.low, "high": row.high, "count": count}
+    return found
+
+
+def difference_of_runs(
+    ours: Sequence[Sequence[dict[str, float]]], theirs: Sequence[Sequence[dict[str, float]]]
+) -> dict[str, dict[str, Any]]:
+    """Mean differences ours - theirs of the same episodes, between every run of ours and every one of theirs, with
+    intervals over both agents' training seeds and over episodes; as summarise_runs. One run each: paired differences.
+    count is the number of pairs of episodes in which both are finite."""
+    if len(ours) == len(theirs) == 1:
+        pairs = zip(ours[0], theirs[0], strict=True)
+        return summarise([{name: one[name] - other[name] for name in one} for one, other in pairs])
+    names = ours[0][0]
+    return _summary({name: table(ours, name)[:, None] - table(theirs, name)[None] for name in names})
+
+
+def pairs_of(count: int) -> list[tuple[int, int]]:
+    """Every pair of `count` things, the later one first: (1, 0), (2, 0), (2, 1), ..."""
+    return [
+        (later, earlier) for earlier, later in sorted(itertools.combinations(range(count), 2), key=lambda p: p[::-1])
+    ]
