@@ -655,16 +655,17 @@ def _loaded(results):
     return results if isinstance(results, Results) else Results.load(results)
 
 
-def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.Path | None = None) -> dict[str, Any]:
+def compare(results: Sequence[Any], out: str | pathlib.Path | None = None) -> dict[str, Any]:
     """Results beside each other, with paired differences from the first, as `bson compare` does: the content of
     compare.json.
 
-    results: Results, or folders that an evaluation wrote, or their results.json. out: folder for compare.json and
-    compare.html; None: nothing is written. Raises ValueError where they can't be compared.
+    results: Results, or folders that an evaluation wrote, or their results.json, or bson.reporting.compare.Groups of
+    Results: the trainings of one agent, with intervals over these, too (see bson.evaluation.statistics). out: folder
+    for compare.json and compare.html; None: nothing is written. Raises ValueError where they can't be compared.
     """
-    from bson.reporting.compare import compare, make_page
+    from bson.reporting.compare import Group, compare, make_page
 
-    content = compare([_loaded(each) for each in results])
+    content = compare([each if isinstance(each, Group) else _loaded(each) for each in results])
     if out is not None:
         page, folder = make_page(content), check_folder(out)
         for file in ("compare.json", "compare.html"):

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from macid.command import MOST_SEED, Parser, name
-from macid.documents import read_bytes, shown_path
+from macid.documents import read_bytes, shown, shown_path
 from macid.files import UsageError, check_file
 
 _MOST_PASSPHRASE = 1 << 12  # bytes of its file
@@ -41,10 +41,24 @@ def _compare(args):
     from bson import benchmark
     from bson.reporting.compare import format_comparison
 
-    print(format_comparison(benchmark.compare(args.results, args.out)))
+    print(format_comparison(benchmark.compare([_column(word) for word in args.results], args.out)))
     out = pathlib.Path(args.out)
     print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
     return 0
+
+
+def _column(word):
+    """What a word of `bson compare` names: a results file or folder, as it is, or the Group NAME=A,B,... of several.
+    Raises UsageError."""
+    from bson.evaluation.results import Results
+    from bson.reporting.compare import Group
+
+    called, equals, sources = word.partition("=")
+    if not equals or os.path.lexists(word):
+        return word
+    if not called or not called.isprintable() or "" in sources.split(","):
+        raise UsageError(f"A group of trainings is NAME=RESULTS,RESULTS,..., not {shown(word)}.")
+    return Group(tuple(Results.load(source) for source in sources.split(",")), called)
 
 
 def _leaderboard(args):
@@ -98,7 +112,12 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
     compare = commands.add_parser(
         "compare", help="results beside each other, with paired differences from the first", **defaults
     )
-    compare.add_argument("results", type=name, nargs="+", help=_RESULTS)
+    compare.add_argument(
+        "results",
+        type=name,
+        nargs="+",
+        help=f"{_RESULTS}; NAME=A,B,C for those of several trainings of one agent, with intervals over training seeds",
+    )
     compare.add_argument("--out", type=name, default="comparison", help="folder for compare.json and compare.html")
     compare.set_defaults(run=_compare)
 

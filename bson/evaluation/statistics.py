@@ -158,24 +158,36 @@ def _paired(x, y):
 
 
 def _unpaired(x, y, cells):
-    places = [np.flatnonzero(cells == cell) for cell in dict.fromkeys(cells)]
-    blocks = [_wins(x[:, None, here, None], y[None, :, None, here]) for here in places]  # (runs, runs, n, n)
+    """Of each cell, every value of x is placed among those of y, which takes no longer than sorting them."""
+    blocks = []  # (the cell's episodes, which of x and of y are known, x's places among y's sorted values, their order)
+    for cell in dict.fromkeys(cells):
+        here = np.flatnonzero(cells == cell)
+        ours, theirs = x[:, here].ravel(), y[:, here].ravel()
+        known, known_theirs = np.isfinite(ours), np.isfinite(theirs)
+        order = np.flatnonzero(known_theirs)[np.argsort(theirs[known_theirs], kind="stable")]
+        below, upto = (np.searchsorted(theirs[order], ours[known], side) for side in ("left", "right"))
+        blocks.append((here, known, order, below, upto))
 
-    def statistic(*drawn):
-        ours, theirs, of_x, of_y = (
+    def shares(*drawn):
+        """The shares of the pairs that x wins, a tie counted half, and of the ties."""
+        of_x, of_y, episodes_x, episodes_y = (
             _counts(each, count) for each, count in zip(drawn, (len(x), len(y), len(cells), len(cells)), strict=True)
         )
-        won, total = 0.0, 0.0
-        for here, (wins, _) in zip(places, blocks, strict=True):
-            weights, known = (ours, theirs, of_x[..., here], of_y[..., here]), np.isfinite(wins)
-            won += _sums(np.where(known, wins, 0.0), weights)
-            total += _sums(known.astype(float), weights)
+        won, equal, total = 0.0, 0.0, 0.0
+        for here, known, order, below, upto in blocks:
+            ours = (of_x[..., :, None] * episodes_x[..., None, here]).reshape(*of_x.shape[:-1], -1)[..., known]
+            theirs = (of_y[..., :, None] * episodes_y[..., None, here]).reshape(*of_y.shape[:-1], -1)[..., order]
+            before = np.concatenate([np.zeros((*theirs.shape[:-1], 1), int), np.cumsum(theirs, axis=-1)], axis=-1)
+            less, at_most = before[..., below], before[..., upto]
+            won = won + (ours * (less + at_most)).sum(axis=-1) / 2
+            equal = equal + (ours * (at_most - less)).sum(axis=-1)
+            total = total + ours.sum(axis=-1) * before[..., -1]
         with np.errstate(invalid="ignore"):
-            return won / total
+            return won / total, equal / total
 
     levels = (len(x), len(y), len(cells), len(cells))
-    ties = np.nanmean(np.concatenate([equal.ravel() for _, equal in blocks]))
-    return estimate(statistic, levels, len(x) * len(y) * len(cells)), float(ties)
+    everything = [np.arange(count) for count in levels]
+    return estimate(lambda *drawn: shares(*drawn)[0], levels, x.size + y.size), float(shares(*everything)[1])
 
 
 def table(runs: Sequence[Sequence[dict[str, float]]], name: str) -> np.ndarray:
