@@ -21,6 +21,7 @@ import reproduce_tables as tables
 
 from bson.evaluation.metrics import summarise
 from bson.evaluation.results import read_results
+from bson.reporting.cards import made_by
 from macid import command
 from macid.command import Parser, check_words
 from macid.evaluate import level_name
@@ -329,14 +330,9 @@ def pedestrian_card(family, members):
 def agent_card(name):
     """Lines of a robot's policy's card: how it was made, and its scores with intervals."""
     recipe = json.loads((AGENTS / f"{name}.json").read_text())
-    scores, tuned = recipe["scores"], recipe["hyperparameters"]
-    people = recipe["task"].get("pedestrian_model", "macid")
-    preset = " --preset paper" if name.endswith("-paper") else ""
+    scores = recipe["scores"]
     lines = [
-        f"Made by `bson train --algo {recipe['algo']}{preset} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
-        f"control steps of 0.1 s among 24 people of `{people}`; networks of ({', '.join(map(str, tuned['hidden']))}). "
-        f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
-        f"episodes (SNS {recipe['validation']['SNS']:.1f}).",
+        made_by(name, recipe),
         "",
         tables.text_row(f"suite `{scores['suite']}`", SCORES),
         "|---" * (1 + len(SCORES)) + "|",

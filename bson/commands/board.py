@@ -63,10 +63,16 @@ def _column(word):
 
 def _leaderboard(args):
     from bson import benchmark
+    from bson.reporting.board import publish
 
+    if args.all and not args.out:
+        raise UsageError("--all is of the page that --out writes; the table on its own has all results anyhow.")
+    files, lines = publish(args.results, args.out, args.all) if args.out else ([], [])
     print(benchmark.leaderboard(args.results, args.readme))
-    if args.readme:
-        print(f"Written: {args.readme}", file=sys.stderr)
+    for line in lines:
+        print(line, file=sys.stderr)
+    if written := [*files, *([args.readme] if args.readme else [])]:
+        print(f"Written: {', '.join(map(str, written))}", file=sys.stderr)
     return 0
 
 
@@ -129,6 +135,13 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         default=None,
         help="also put it into this file, between <!-- leaderboard --> and <!-- /leaderboard -->",
     )
+    leaderboard.add_argument(
+        "--out",
+        type=name,
+        default=None,
+        help="folder for board.json and board.html: the rows and the page of the results that bson verify found equal",
+    )
+    leaderboard.add_argument("--all", action="store_true", help="with --out: also those that were not verified, marked")
     leaderboard.set_defaults(run=_leaderboard)
 
     verify = commands.add_parser(

@@ -87,6 +87,17 @@ def read_record(results: str | pathlib.Path) -> Verification | None:
     return read_document(path, Verification, "verification", MOST_BYTES) if path.exists() else None
 
 
+def why_unverified(results: str | pathlib.Path) -> str | None:
+    """Why a results file can't be trusted; None where its record says that it came out bit for bit. Raises UsageError
+    for a record that is none."""
+    record = read_record(results)
+    if record is None:
+        return "never verified"
+    if record.results != results_hash(results):
+        return "changed since it was verified"
+    return None if record.equal else "did not come out when it was verified"
+
+
 def write_record(path: str | pathlib.Path, record: Verification) -> None:
     """Writes the file `path`, all or nothing. Raises UsageError."""
     write_json(path, msgspec.to_builtins(record))
