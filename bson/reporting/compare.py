@@ -322,7 +322,7 @@ def _chance(row, way):
     """A probability of improvement as text, with a star where it bears out an order."""
     found = row[way]
     star = " *" if row["differs"] and way == "paired" else ""
-    ties = f", {found['ties']:.0%} ties" if found["ties"] else ""
+    ties = f", {found['ties']:.0%} ties" if found["ties"] >= 0.005 else ""
     return f"{found['value']:.2f} [{found['low']:.2f}, {found['high']:.2f}]{ties}{star}"
 
 
