@@ -1,5 +1,5 @@
-"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay`,
-`ros`, `deploy`, `dataset` and `train` as calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `verify`, `render`, `record`,
+`replay`, `ros`, `deploy`, `dataset` and `train` as calls.
 
     from bson import benchmark
 
@@ -22,6 +22,7 @@ from typing import Any
 
 from bson.episodes.record import Episode
 from bson.evaluation.results import Results
+from bson.evaluation.verify import verify as verify
 from macid.executors import Executor, make_executor
 from macid.files import (
     UsageError,
@@ -710,15 +711,29 @@ def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str
     return page
 
 
-def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
+def leaderboard(
+    results: Sequence[Results | str | pathlib.Path],
+    readme: str | pathlib.Path | None = None,
+    *,
+    out: str | pathlib.Path | None = None,
+    everything: bool = False,
+    told: Callable[[str], object] = lambda line: None,
+) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 
-    results: as for `compare`. readme: a file that gets the tables too, between its marks. Raises ValueError where
+    results: Results that were read from files, or these folders or files. readme: a file that gets the tables too,
+    between its marks. out: folder for board.json and board.html, of the results that `verify` found equal; everything:
+    also of the others, marked. told: called with a line for each that is left out or marked. Raises ValueError where
     results of one suite have different episodes.
     """
+    from bson.reporting.board import publish
     from bson.reporting.leaderboard import fill_readme, leaderboard
 
-    text = leaderboard([_loaded(each) for each in results])
+    found = [_loaded(each) for each in results]
+    text = leaderboard(found)
+    if out is not None:
+        for line in publish(found, out, everything):
+            told(line)
     if readme is not None:
         fill_readme(readme, text)
     return text

@@ -369,7 +369,7 @@ def _doctor(args):
 
 def _list(args):
     from bson import ENVIRONMENTS
-    from bson.evaluation.suites import load_suite, suite_names
+    from bson.evaluation.suites import HELD_OUT, load_suite, suite_names
     from bson.registry import KINDS, kind
 
     print("environments  " + ", ".join(ENVIRONMENTS))
@@ -383,6 +383,7 @@ def _list(args):
     for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
         print(f"suite         {suite.name}: {suite.description} ({count} seeds)")
+    print(f"suite         {HELD_OUT}: cells of standard, seeds that follow from a passphrase (--passphrase-file)")
     return 0
 
 

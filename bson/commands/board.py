@@ -63,16 +63,18 @@ def _column(word):
 
 def _leaderboard(args):
     from bson import benchmark
-    from bson.reporting.board import publish
 
     if args.all and not args.out:
         raise UsageError("--all is of the page that --out writes; the table on its own has all results anyhow.")
-    files, lines = publish(args.results, args.out, args.all) if args.out else ([], [])
-    print(benchmark.leaderboard(args.results, args.readme))
+    lines, out = [], args.out and pathlib.Path(args.out)
+    print(benchmark.leaderboard(args.results, args.readme, out=out, everything=args.all, told=lines.append))
+    written = [out / "board.json", out / "board.html"] if out else []
+    if args.readme:
+        written.append(args.readme)
+    if written:
+        lines.append(f"Written: {', '.join(map(str, written))}")
     for line in lines:
         print(line, file=sys.stderr)
-    if written := [*files, *([args.readme] if args.readme else [])]:
-        print(f"Written: {', '.join(map(str, written))}", file=sys.stderr)
     return 0
 
 

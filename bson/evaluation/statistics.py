@@ -9,9 +9,13 @@ are 95% percentile bootstrap intervals by scipy.stats.bootstrap from a fixed see
   about an episode is no news from each run, and what is good about a run is no news from each episode: both levels
   enter the interval, as in a two-way layout (Owen 2007, "The pigeonhole bootstrap").
 
-With one run of each agent only episodes are drawn, and the interval is that of bson.evaluation.metrics.summarise. Few
-training seeds make an interval too narrow, as a bootstrap knows no more of their spread than they show: among three
-seeds it is sqrt(2/3) of the true one. LEAST_SEEDS is where a reader is told.
+Episodes are drawn by their seed: where cells of a suite play the same seeds, as those of `standard` do, episodes of one
+seed have draws in common, such as the maze and where the robot begins, and they come together. `seeds` says which they
+are; without, each episode is its own.
+
+With one run of each agent, in one cell, the interval is that of bson.evaluation.metrics.summarise, which takes every
+episode of several cells for itself. Few training seeds make an interval too narrow, as a bootstrap knows no more of
+their spread than they show: among three seeds it is sqrt(2/3) of the true one. LEAST_SEEDS is where a reader is told.
 """
 
 import itertools
@@ -89,36 +93,56 @@ def _sums(values, weights):
     return found.reshape(lead)
 
 
-def _mean(values):
-    """The statistic of `estimate` that is the mean of `values` (n1, ..., nk) of what is drawn; NaN does not enter."""
+def _places(seeds, count):
+    """(how many seeds there are, which of them each of `count` episodes has); None: each its own."""
+    if seeds is None:
+        return count, np.arange(count)
+    known, places = np.unique(seeds, return_inverse=True)
+    return len(known), places
+
+
+def _mean(values, seeds=None):
+    """The levels and the statistic of `estimate` that is the mean of `values` (n1, ..., episodes) of what is drawn, the
+    last level by the episodes' `seeds`; NaN does not enter."""
     known = np.isfinite(values)
     filled, known = np.where(known, values, 0.0), known.astype(float)
+    count, places = _places(seeds, values.shape[-1])
+    levels = (*values.shape[:-1], count)
 
     def statistic(*drawn):
-        weights = [_counts(each, count) for each, count in zip(drawn, values.shape, strict=True)]
+        *weights, last = (_counts(each, count) for each, count in zip(drawn, levels, strict=True))
+        weights.append(last[..., places])
         with np.errstate(invalid="ignore"):
             return _sums(filled, weights) / _sums(known, weights)
 
-    return statistic
+    return statistic, levels
 
 
-def mean(values: np.ndarray) -> Estimate:
+def mean(values: np.ndarray, seeds: np.ndarray | None = None) -> Estimate:
     """The mean over runs and episodes, of `values` (runs, episodes), where NaN does not enter."""
-    values = values[:, np.isfinite(values).any(axis=0)]
-    return estimate(_mean(values), values.shape)
+    entering = np.isfinite(values).any(axis=tuple(range(values.ndim - 1)))
+    values, seeds = values[..., entering], None if seeds is None else seeds[entering]
+    return estimate(*_mean(values, seeds), values.size)
 
 
-def interquartile_mean(values: np.ndarray) -> Estimate:
+def interquartile_mean(values: np.ndarray, seeds: np.ndarray | None = None) -> Estimate:
     """The interquartile mean (IQM) of `values` (runs, episodes): the mean of the middle half of all runs' episodes
     together, without the least and the greatest quarter (Agarwal et al. 2021, "Deep reinforcement learning at the edge
-    of the statistical precipice"). One failed episode in four does not move it, nor does one lucky one."""
-    from scipy import stats
+    of the statistical precipice"; scipy.stats.trim_mean). One failed episode in four does not move it, nor does one
+    lucky one."""
+    order = np.argsort(values, axis=None, kind="stable")
+    ranked, (count, places) = values.ravel()[order], _places(seeds, values.shape[1])
 
-    def statistic(runs, episodes):
-        picked = values[runs[..., :, None], episodes[..., None, :]]
-        return stats.trim_mean(picked.reshape(*picked.shape[:-2], -1), TRIMMED, axis=-1)
+    def statistic(runs, drawn):
+        of_runs, of_episodes = _counts(runs, len(values)), _counts(drawn, count)[..., places]
+        weights = (of_runs[..., :, None] * of_episodes[..., None, :]).reshape(*of_runs.shape[:-1], -1)[..., order]
+        upto = weights.cumsum(axis=-1)
+        total = upto[..., -1:]
+        cut = (TRIMMED * total).astype(int)
+        kept = np.diff(np.clip(upto - cut, 0, total - 2 * cut), axis=-1, prepend=0)
+        return (kept * ranked).sum(axis=-1) / (total - 2 * cut)[..., 0]
 
-    return estimate(statistic, values.shape, values.size)
+    return estimate(statistic, (len(values), count), values.size)
 
 
 class Improvement(NamedTuple):
@@ -131,7 +155,9 @@ class Improvement(NamedTuple):
     unpaired_ties: float
 
 
-def improvement(ours: np.ndarray, theirs: np.ndarray, cells: np.ndarray, better: str = "up") -> Improvement:
+def improvement(
+    ours: np.ndarray, theirs: np.ndarray, cells: np.ndarray, better: str = "up", seeds: np.ndarray | None = None
+) -> Improvement:
     """The probability of improvement P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021; the Mann-Whitney statistic).
 
     ours, theirs: (runs, episodes) of X and of Y, the same episodes; cells: (episodes,) each one's cell. X and Y are a
@@ -142,7 +168,7 @@ def improvement(ours: np.ndarray, theirs: np.ndarray, cells: np.ndarray, better:
     """
     sign = -1.0 if better == "down" else 1.0
     x, y = sign * ours, sign * theirs
-    return Improvement(*_paired(x, y), *_unpaired(x, y, cells))
+    return Improvement(*_paired(x, y, seeds), *_unpaired(x, y, cells, seeds))
 
 
 def _wins(x, y):
@@ -152,13 +178,14 @@ def _wins(x, y):
     return np.where(known, (x > y) + 0.5 * (x == y), np.nan), equal
 
 
-def _paired(x, y):
+def _paired(x, y, seeds):
     won, equal = _wins(x[:, None], y[None])  # (runs, runs, episodes)
-    return estimate(_mean(won), won.shape, won.shape[0] * won.shape[1]), float(np.nanmean(equal))
+    return mean(won, seeds), float(np.nanmean(equal))
 
 
-def _unpaired(x, y, cells):
+def _unpaired(x, y, cells, seeds):
     """Of each cell, every value of x is placed among those of y, which takes no longer than sorting them."""
+    count, places = _places(seeds, len(cells))
     blocks = []  # (the cell's episodes, which of x and of y are known, x's places among y's sorted values, their order)
     for cell in dict.fromkeys(cells):
         here = np.flatnonzero(cells == cell)
@@ -168,11 +195,12 @@ def _unpaired(x, y, cells):
         below, upto = (np.searchsorted(theirs[order], ours[known], side) for side in ("left", "right"))
         blocks.append((here, known, order, below, upto))
 
+    levels = (len(x), len(y), count, count)
+
     def shares(*drawn):
         """The shares of the pairs that x wins, a tie counted half, and of the ties."""
-        of_x, of_y, episodes_x, episodes_y = (
-            _counts(each, count) for each, count in zip(drawn, (len(x), len(y), len(cells), len(cells)), strict=True)
-        )
+        of_x, of_y, episodes_x, episodes_y = (_counts(each, size) for each, size in zip(drawn, levels, strict=True))
+        episodes_x, episodes_y = episodes_x[..., places], episodes_y[..., places]
         won, equal, total = 0.0, 0.0, 0.0
         for here, known, order, below, upto in blocks:
             ours = (of_x[..., :, None] * episodes_x[..., None, here]).reshape(*of_x.shape[:-1], -1)[..., known]
@@ -185,8 +213,7 @@ def _unpaired(x, y, cells):
         with np.errstate(invalid="ignore"):
             return won / total, equal / total
 
-    levels = (len(x), len(y), len(cells), len(cells))
-    everything = [np.arange(count) for count in levels]
+    everything = [np.arange(size) for size in levels]
     return estimate(lambda *drawn: shares(*drawn)[0], levels, x.size + y.size), float(shares(*everything)[1])
 
 
@@ -197,28 +224,30 @@ def table(runs: Sequence[Sequence[dict[str, float]]], name: str) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def summarise_runs(runs: Sequence[Sequence[dict[str, float]]]) -> dict[str, dict[str, Any]]:
+def summarise_runs(
+    runs: Sequence[Sequence[dict[str, float]]], seeds: np.ndarray | None = None
+) -> dict[str, dict[str, Any]]:
     """As bson.evaluation.metrics.summarise, of several runs of the same episodes: means over runs and episodes, with
     intervals over both. One run: the same as summarise."""
     if len(runs) == 1:
         return summarise(list(runs[0]))
-    return _summary({name: table(runs, name) for name in runs[0][0]})
+    return _summary({name: table(runs, name) for name in runs[0][0]}, seeds)
 
 
-def _summary(tables):
+def _summary(tables, seeds):
     """{metric: {"mean", "low", "high", "count"}} of {metric: values, the episodes last}."""
     found = {}
     for name, values in tables.items():
-        if np.isfinite(values).any():
-            values = values[..., np.isfinite(values).any(axis=tuple(range(values.ndim - 1)))]
-            row = estimate(_mean(values), values.shape, int(np.prod(values.shape[:-1])))
-            count = int(np.isfinite(values).sum())
+        if count := int(np.isfinite(values).sum()):
+            row = mean(values, seeds)
             found[name] = {"mean": row.value, "low": row.low, "high": row.high, "count": count}
     return found
 
 
 def difference_of_runs(
-    ours: Sequence[Sequence[dict[str, float]]], theirs: Sequence[Sequence[dict[str, float]]]
+    ours: Sequence[Sequence[dict[str, float]]],
+    theirs: Sequence[Sequence[dict[str, float]]],
+    seeds: np.ndarray | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Mean differences ours - theirs of the same episodes, between every run of ours and every one of theirs, with
     intervals over both agents' training seeds and over episodes; as summarise_runs. One run each: paired differences.
@@ -227,7 +256,7 @@ def difference_of_runs(
         pairs = zip(ours[0], theirs[0], strict=True)
         return summarise([{name: one[name] - other[name] for name in one} for one, other in pairs])
     names = ours[0][0]
-    return _summary({name: table(ours, name)[:, None] - table(theirs, name)[None] for name in names})
+    return _summary({name: table(ours, name)[:, None] - table(theirs, name)[None] for name in names}, seeds)
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:

@@ -116,20 +116,14 @@ def make_page(content: dict[str, Any]) -> str:
     )
 
 
-def publish(
-    results: Sequence[str | pathlib.Path], out: str | pathlib.Path, everything: bool = False
-) -> tuple[list[pathlib.Path], list[str]]:
-    """Writes board.json and board.html of the `results`, folders that `bson evaluate` wrote or their results.json, to
-    the folder `out`, as `bson leaderboard --out` does; returns these files, and what is to be told in lines.
-
-    Raises ValueError as make_board does.
-    """
-    content, lines = make_board([Results.load(source) for source in results], everything)
+def publish(runs: Sequence[Results], out: str | pathlib.Path, everything: bool = False) -> list[str]:
+    """Writes board.json and board.html to the folder `out`, as `bson leaderboard --out` does; returns what is to be
+    told in lines. Raises ValueError as make_board does."""
+    content, lines = make_board(runs, everything)
     page, folder = make_page(content), check_folder(out)
-    files = [folder / "board.json", folder / "board.html"]
-    for file in files:
-        check_file(file)
+    for file in ("board.json", "board.html"):
+        check_file(folder / file)
     with lock_folder(folder):
-        write_json(files[0], content)
-        write_bytes(files[1], page.encode())
-    return files, lines
+        write_json(folder / "board.json", content)
+        write_bytes(folder / "board.html", page.encode())
+    return lines

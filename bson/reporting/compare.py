@@ -126,20 +126,28 @@ def differences(measured: list[dict[str, float]], reference: list[dict[str, floa
     return _differences([measured], [reference])
 
 
-def _differences(measured, reference):
-    """As `differences`, of the rows of several runs each."""
-    found = difference_of_runs(measured, reference)
+def _differences(measured, reference, seeds=None):
+    """As `differences`, of the rows of several runs each; seeds: those of the episodes."""
+    found = difference_of_runs(measured, reference, seeds)
     for row in found.values():
         row["differs"] = row["count"] >= LEAST_PAIRS and (row["low"] > 0 or row["high"] < 0)
     return found
 
 
+def _seeds(keys):
+    """(episodes,) the seeds of the episodes `keys`."""
+    return np.array([seed for _, seed in keys])
+
+
 def _side_by_side(groups, keys, names):
     """For each group the summary over the episodes `keys`, and its differences from the first group; None for the
     first."""
-    measured = [_measured(group, keys, names) for group in groups]
+    measured, seeds = [_measured(group, keys, names) for group in groups], _seeds(keys)
     return [
-        {"summary": summarise_runs(rows), "difference": _differences(rows, measured[0]) if place else None}
+        {
+            "summary": summarise_runs(rows, seeds),
+            "difference": _differences(rows, measured[0], seeds) if place else None,
+        }
         for place, rows in enumerate(measured)
     ]
 
@@ -147,19 +155,20 @@ def _side_by_side(groups, keys, names):
 def _judged(groups, keys, metrics):
     """(for each group {metric: its interquartile mean}, the pairs of groups with the probability of improvement) of the
     `metrics` that all episodes `keys` have. Which of a pair is named first does not matter: the other has the rest."""
-    better = {metric.name: metric.better for metric in METRICS}
+    better, seeds = {metric.name: metric.better for metric in METRICS}, _seeds(keys)
+    cells = np.array([cell for cell, _ in keys])
     measured = [_measured(group, keys, metrics) for group in groups]
     values = {name: [table(rows, name) for rows in measured] for name in metrics}
     whole = {name: each for name, each in values.items() if all(math.isfinite(one.sum()) for one in each)}
     means = [
-        {name: interquartile_mean(each[place])._asdict() for name, each in whole.items()}
+        {name: interquartile_mean(each[place], seeds)._asdict() for name, each in whole.items()}
         for place in range(len(groups))
     ]
     pairs = []
     for of, over in pairs_of(len(groups)):
         row = {"of": of, "over": over}
         for name, each in whole.items():
-            found = improvement(each[of], each[over], np.array([cell for cell, _ in keys]), better[name])
+            found = improvement(each[of], each[over], cells, better[name], seeds)
             row[name] = {
                 "paired": found.paired._asdict() | {"ties": found.paired_ties},
                 "unpaired": found.unpaired._asdict() | {"ties": found.unpaired_ties},
@@ -188,6 +197,13 @@ def _notes(groups, keys):
         found = dict.fromkeys(run.content["versions"].get(package) for run in runs)
         if len(found) > 1:
             notes.append(f"Made with different versions of {package}: {', '.join(map(str, found))}.")
+    if (seeds := len(set(_seeds(keys)))) < len(keys):
+        notes.append(
+            f"The {plural(len(keys), 'episode')} have {plural(seeds, 'seed')}; those of one seed share draws, such as "
+            "the maze and the start. Interquartile means, probabilities of doing better and columns of several "
+            "trainings are drawn by seeds. Other intervals take each episode for itself: they are too narrow where "
+            "seeds matter."
+        )
     return notes
 
 

@@ -87,6 +87,32 @@ def test_runs_that_are_the_same_are_one_run():
     assert mean(np.repeat(values, 4, axis=0)) == pytest.approx(mean(values), abs=0.03)  # what is drawn is not the same
 
 
+def test_an_interquartile_mean_is_scipys():
+    from scipy.stats import bootstrap, trim_mean
+
+    values = np.random.default_rng(8).normal(size=(1, 21)) ** 3
+    wanted = bootstrap(
+        (values[0],), lambda x, axis: trim_mean(x, 0.25, axis=axis), method="percentile", rng=np.random.default_rng(0)
+    )
+    low, high = wanted.confidence_interval
+    assert interquartile_mean(values) == pytest.approx((trim_mean(values, 0.25, axis=None), low, high))
+
+
+def test_episodes_of_one_seed_come_together():
+    """The same episode in a second cell is no news; as an episode of its own it would make the interval narrow."""
+    rng = np.random.default_rng(6)
+    one, other = rng.normal(size=(2, 1, 30))
+    seeds, cells = np.tile(np.arange(30), 2), np.repeat(["a", "b"], 30)
+    twice, twice_other = np.tile(one, 2), np.tile(other, 2)
+    assert mean(twice, seeds) == pytest.approx(mean(one)) and interquartile_mean(twice, seeds).low < 0
+    wide, narrow = (found.high - found.low for found in (mean(twice, seeds), mean(twice)))
+    assert narrow < 0.8 * wide
+    found, alone = improvement(twice, twice_other, cells, seeds=seeds), improvement(one, other, cells[:30])
+    assert found.paired == pytest.approx(alone.paired) and found.unpaired == pytest.approx(alone.unpaired)
+    rows = [[{"SNS": value} for value in run] for run in np.concatenate([twice, twice_other])]
+    assert summarise_runs(rows, seeds)["SNS"]["high"] > summarise_runs(rows)["SNS"]["high"]
+
+
 def test_runs_that_differ_make_the_interval_wide():
     """Over episodes alone, it is narrow; the trainings may be all that differs."""
     runs = np.array([[-2.0], [0.0], [3.0], [-1.0]]) + 0.01 * np.random.default_rng(0).normal(size=(4, 50))

@@ -139,6 +139,20 @@ def test_own_agents_and_own_suites_are_named_beside_the_results(tmp_path, monkey
     assert code == 1 and len(record.episodes) == 2 and all("PE" in each.differs for each in record.episodes)
 
 
+def test_own_metrics_are_compared_where_they_are_given(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text("def way(episode):\n    return 2.0 * episode.travelled\n")
+    words = ["evaluate", "--agent", "goal", "--suite", "smoke", "--episodes", "1", "--videos", "0", *QUICK]
+    assert cli.main([*words, "--metric", "own.py:way", "--out", "out"]) == 0
+    code, record = verified("out")
+    assert code == 0 and record.notes == ["not compared, as --metric was not given: way"]
+    code, record = verified("out", "--metric", "own.py:way")
+    assert code == 0 and record.notes == []
+    (tmp_path / "own.py").write_text("def way(episode):\n    return 2.5 * episode.travelled\n")
+    code, record = verified("out", "--metric", "own.py:way")
+    assert code == 1 and list(record.episodes[0].differs) == ["way"]
+
+
 def test_the_draw_is_a_share_of_at_least_one_that_its_seed_gives_again():
     episodes = [("all", seed) for seed in range(100)]
     for share, count in ((0.1, 10), (0.101, 11), (0.001, 1), (1.0, 100)):
@@ -162,6 +176,7 @@ def test_an_organiser_scores_what_nobody_could_tune_to(tmp_path, monkeypatch, ca
     monkeypatch.setenv("BSON_PASSPHRASE", SECRET)
     assert verified(out)[0] == 0 and len(read_record(out).episodes) == 3
     assert SECRET not in record_path(out).read_text()
+    assert cli.main(["compare", str(out), str(out), "--out", str(tmp_path / "compared")]) == 0
     monkeypatch.setenv("BSON_PASSPHRASE", SECRET[::-1])
     code, record = verified(out)
     assert code == 1 and any("left out" in problem for problem in record.problems)
