@@ -37,8 +37,8 @@ def most(config: TaskConfig, drawn: Spawn) -> Most:
     left = max(0.0, GOAL_RADIUS - robot.max_speed * config.control_period)
     way = shortest - left
     drive = Driven(straight, left, way, way / robot.max_speed, 0)
-    parts = [part(drive) for part in (sns, route_completion, speed_score, path_efficiency)]
-    return Most(*parts, straight, shortest)
+    parts = route_completion(drive), speed_score(drive), path_efficiency(drive)
+    return Most(sns(drive), *parts, straight, shortest)
 
 
 def most_of(suite: Suite) -> dict[str, Most]:

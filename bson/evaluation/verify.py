@@ -335,7 +335,7 @@ def _other_means(content):
     parts += [
         (f"cell '{cell['name']}'", cell, [row for row in content["episodes"] if row["cell"] == cell["name"]])
         for cell in content["cells"]
-        if "summary" in cell and len(content["cells"]) > 1
+        if "summary" in cell
     ]
     lines = []
     for where, told, rows in parts:
@@ -344,14 +344,11 @@ def _other_means(content):
         ]
         found = summarise(measured)
         for name in sorted({*told["summary"], *found}):
-            row, mean = found.get(name), told["summary"].get(name)
-            interval = told.get("intervals", {}).get(name)
-            same = row is not None and mean is not None and interval is not None
-            same = same and np.allclose(
-                [mean, *interval], [row[k] for k in ("mean", "low", "high")], _TOLERANCE, _TOLERANCE
-            )
-            if not same:
-                lines.append(f"{name} of {where}: the mean was {mean}, its episodes have {row and row['mean']}")
+            row, nothing = found.get(name, {}), [None, None]
+            was = [told["summary"].get(name), *told.get("intervals", {}).get(name, nothing)]
+            now = [row.get(key) for key in ("mean", "low", "high")]
+            if None in was + now or not np.allclose(np.array(was), np.array(now), _TOLERANCE, _TOLERANCE):
+                lines.append(f"{name} of {where}: the mean was {was[0]}, its episodes have {now[0]}")
     return lines
 
 

@@ -166,7 +166,7 @@ def _judged(groups, keys, metrics):
     ]
     pairs = []
     for of, over in pairs_of(len(groups)):
-        row = {"of": of, "over": over}
+        row: dict[str, Any] = {"of": of, "over": over}
         for name, each in whole.items():
             found = improvement(each[of], each[over], cells, better[name], seeds)
             row[name] = {
