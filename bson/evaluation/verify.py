@@ -274,17 +274,19 @@ def _check_repeatable(content, agent, source):
 
 
 def _track(content, make_agent, track, sensor, source):
-    """The track and the sensors, as make_track takes them: those given, or those of the results, or the agent's own."""
-    from bson.episodes.tracks import SENSOR_KIND, TRACK_KIND
+    """The track and the sensors, as make_track takes them: those given, or those of the results, or the agent's own.
+    Raises UsageError for others that the results name: no code that they name is run."""
+    from bson.episodes.tracks import SENSOR_KIND, TRACK_KIND, sensor_label
 
-    told = [*(content.get("track") or []), None, None][:2]
-    named = told[0] if told[0] in TRACK_KIND.names() else None
-    if track is None and told[0] is not None and named is None and told[0] != make_agent.track:
-        raise UsageError(
-            f"The track {shown(told[0])} of '{source}' does not come with this package: give it by --track."
-        )
-    with_label = told[1] if told[1] in SENSOR_KIND.names() else None
-    return track or named or make_agent.track, sensor or with_label or make_agent.sensor
+    found, told = [], [*(content.get("track") or []), None, None]
+    for what, label, given, kind, own, called in (
+        ("track", told[0], track, TRACK_KIND, make_agent.track, make_agent.track),
+        ("sensor", told[1], sensor, SENSOR_KIND, make_agent.sensor, sensor_label(make_agent.sensor)),
+    ):
+        if given is None and label not in (None, called, *kind.names()):
+            raise UsageError(f"The {what} {shown(label)} of '{source}' does not come with this package: give --{what}.")
+        found.append(given or (label if label in kind.names() else own))
+    return tuple(found)
 
 
 def _difference(was, now):

@@ -110,6 +110,8 @@ def test_other_versions_are_told_and_change_no_verdict(folder, capsys):
         (lambda content: content.update(agent="os:system"), "'os:system'.*give it by --agent"),
         (lambda content: content.update(engine="warp"), "to a tolerance"),
         (lambda content: content.update(real_time=True), "real time"),
+        (lambda content: content.update(track=["local", "mine.py:SENSORS"]), "'mine.py:SENSORS'.*give --sensor"),
+        (lambda content: content.update(track=["mine.py:Track", "lidar2d"]), "'mine.py:Track'.*give --track"),
         (lambda content: content.update(suite="papers"), "Unknown suite 'papers'. Choose"),
         (lambda content: content.update(suite="held-out"), "no seeds without its passphrase"),
         (lambda content: content["overrides"].update(people="3"), "Unknown option 'people'"),
