@@ -563,6 +563,13 @@ def test_what_is_out_of_range_reads_as_a_world_reads_it():
     assert ros_agent.reading_of(scan, lidar).tolist() == pytest.approx([30.0, 0.1, 30.0, 5.0, 30.0, 0.1])
 
 
+@pytest.mark.parametrize("domain", ["233", "-1", "one", "1.0"])
+def test_a_domain_that_there_is_not_is_told(domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(UsageError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"), ros.wire("peer"):
+        pass
+
+
 def test_agents_that_can_not_be_deployed_and_executors_that_can_not_wait_are_refused():
     with pytest.raises(AgentError, match="global track"):
         benchmark.deploy("orca-oracle")
