@@ -25,7 +25,7 @@ from bson.episodes.record import Episode
 from bson.interfaces.messages import COUNTERS, PROGRESS, Reporter, Topic
 from bson.simulation.data import QUANTITIES
 from macid.documents import convert, shown_path
-from macid.files import UsageError, check_folder, named, whole_folder
+from macid.files import UsageError, check_folder, named, remove_leftover_folders, whole_folder
 from macid.state import RADIUS
 
 if TYPE_CHECKING:
@@ -190,11 +190,13 @@ def recordings(
 ) -> Iterator[Callable[["Session", int], "Recording"]]:
     """In a `with`: a function that begins the Recording of a world's episode in the folder `out`, for the argument
     `watch` of bson.evaluation.play.run_episodes. Where the work in the `with` fails, the bags of the episodes that
-    have not ended are removed.
+    have not ended are removed, and so are those that a recorder that was killed left there.
 
     called: gives the name of an episode's bag from its seed. about: what the bags' metadata tells beside episodes.
     """
     check()
+    if pathlib.Path(out).is_dir():
+        remove_leftover_folders(out, _unfinished)
     open_bags: dict[int, Recording] = {}
 
     def begin(session, index):
@@ -208,6 +210,13 @@ def recordings(
         for each in open_bags.values():
             each.discard()
         raise
+
+
+def _unfinished(path, name):
+    """Whether the temporary folder `path` holds what a recorder that was killed left of the bag `name`."""
+    files = {str(file.relative_to(path)) for file in path.rglob("*")}
+    own = {f"{name}/{name}.mcap", f"{name}.mcap", f"{name}/metadata.yaml", "metadata.yaml"}
+    return path.is_dir() and bool(files & own) and files <= {name, *own}
 
 
 class _About(msgspec.Struct):

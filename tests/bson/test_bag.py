@@ -529,6 +529,14 @@ def test_an_agent_that_fails_leaves_no_bag(tmp_path, capsys, monkeypatch):
     assert [file.name for file in tmp_path.iterdir() if file.name != "__pycache__"] == ["late.py"]
 
 
+def test_what_a_killed_recorder_left_goes_with_the_next_recording_and_nothing_else_does(tmp_path):
+    for name in (".seed-3.381def3a/seed-3/seed-3.mcap", ".seed-4.381def3a/seed-4.mcap", ".mine.381def3a/seed-3.mcap"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"half a bag")
+    record(tmp_path, CONFIG.replace(horizon=1), (Imu(),))
+    assert {path.name for path in tmp_path.iterdir()} == {"seed-7", ".mine.381def3a"}
+
+
 def test_a_sensor_without_a_message_is_told(tmp_path, capsys):
     class Odd(Sensor):
         pass
