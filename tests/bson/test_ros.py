@@ -210,7 +210,7 @@ def test_bson_ros_plays_a_suite_in_lockstep_and_tells_each_score():
 
 
 def test_in_lockstep_commands_without_stamps_answer_the_state_that_they_were_given_for():
-    config, said = {**SETS, "horizon": 8}, []
+    config = {**SETS, "horizon": 8}
     wanted = benchmark.evaluate("vfh", "smoke", episodes=3, overrides=config, quiet=True)
     with deployed("vfh", stamped=False):
         found = benchmark.evaluate("ros", "smoke", episodes=3, overrides=config, stamped=False, quiet=True)
