@@ -131,7 +131,8 @@ def _check_domain():
 @contextlib.contextmanager
 def wire(name: str) -> Iterator[Wire]:
     """A Wire of a new node `name`, in a `with`. Raises UsageError where ROS 2 is missing or can't start."""
-    # Shared memory would leave files behind where a process is killed.
+    # Shared memory would leave files behind where a process is killed. (With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST,
+    # rmw_fastrtps takes it all the same.)
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     rclpy = _rclpy()
     _check_domain()
