@@ -6,6 +6,10 @@ through the person's own decisions alone, and so each learns its best answer to 
 are those of the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient),
 which holds but for contacts.
 
+A rollout is short, half a second: what a course leads to is in its costs, since a collision course costs before the
+collision. So there are many updates, which is what teaches anticipation: with rollouts of 2 s people learned to brake
+before each other, and little else, from as many agent-steps.
+
 What a person wants, per second (`costs`): to walk at its preferred speed to its goal; not to change its velocity; and,
 with the weight 1 + care LCF, not to come close to a collision and not to touch. A collision course costs both people
 the same, so that the LCF says how much the others' costs count beside one's own, which is eq. 2's role.
@@ -47,18 +51,18 @@ class SceneConfig:
     speeds: tuple[float, float, float, float] = (*HUMAN_SPEED, *HUMAN_RANGE)  # preferred: mean, SD, least, most [m/s]
     care: float = 0.5  # how much an LCF of 1 adds to the weight of others' costs
     noise: float = 0.1  # in the actions, so that people see more than one course
-    learning_rate: float = 1.5e-3
-    final_learning_rate: float = 7.5e-5
+    learning_rate: float = 3e-3
+    final_learning_rate: float = 1e-4
     most_gradient: float = 1.0  # of a person's cost, after its state at a decision
-    pace: float = 1.0  # of the squared difference of the speed ahead from the preferred one, in its share
+    pace: float = 2.0  # of the squared difference of the speed ahead from the preferred one, in its share
     aside: float = 2.0  # of the squared speed aside, in the preferred one's share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 2.0  # of the energy of collision courses
+    meet: float = 1.0  # of the energy of collision courses
     crowding: float = 2.0  # number of people near by that halves the weight of collision courses
     reach: float = 0.25  # by how much two bodies that miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
     touch: float = 2.0  # of bodies and walls that are touched
-    headway: float = 1.5  # of the room that is missing behind a person who walks ahead [m]
+    headway: float = 1.1  # of the room that is missing behind a person who walks ahead [m]
     headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 

@@ -54,13 +54,15 @@ class Scene:
     @functools.cached_property
     def ways(self) -> np.ndarray:
         """Unit vectors along a shortest way to each of the places, from each of the map's cells of _CELL: (P, N, N, 2),
-        a row for each y; 0 where it leads straight there, or nobody can stand."""
+        a row for each y; 0 where it leads straight there. Where nobody can stand, they are those of the nearest cell
+        where one can."""
         places = np.empty((0, 2)) if self.places is None else self.places
         axis = np.arange(_CELL / 2, self.layout.size, _CELL) - self.layout.size / 2
         cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         along = np.zeros((len(places), *cells.shape))
         free = np.flatnonzero(clearance(cells, self.layout.boxes) > _BODY)
-        router = Router(self.layout, _BODY)
+        nearest = free[norm(cells[:, None] - cells[free]).argmin(axis=-1)] if len(places) else free
+        router = Router(self.layout, _BODY + 0.15)  # ways with some room
         for number, place in enumerate(places):
             found = router.paths(cells[free], np.tile(place, (len(free), 1)))
             for cell, way in zip(free, found, strict=True):
@@ -69,6 +71,7 @@ class Scene:
                 if corner < len(way) - 1:
                     step = way[corner] - cells[cell]
                     along[number, cell] = step / norm(step)
+            along[number] = along[number, nearest]
         return along.reshape(len(places), len(axis), len(axis), 2)
 
 
