@@ -57,7 +57,7 @@ class SceneConfig:
     pace: float = 2.0  # of the squared difference of the speed ahead from the preferred one, in its share
     aside: float = 2.0  # of the squared speed aside, in the preferred one's share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 1.0  # of the energy of collision courses
+    meet: float = 1.1  # of the energy of collision courses
     crowding: float = 2.0  # number of people near by that halves the weight of collision courses
     reach: float = 0.25  # by how much two bodies that miss each other still count [m]
     fade: float = 3.0  # with which a later collision costs less [s]
