@@ -89,7 +89,10 @@ def crowd(position, velocity, group=None):
     shape = position.shape[:2]
     group = np.arange(shape[1]) if group is None else np.asarray(group)
     traits = Traits(
-        np.full(shape, RADIUS, np.float32), np.full(shape, 1.3, np.float32), np.full(shape, 2.0, np.float32), group[None]
+        np.full(shape, RADIUS, np.float32),
+        np.full(shape, 1.3, np.float32),
+        np.full(shape, 2.0, np.float32),
+        group[None],
     )
     zero = np.zeros(shape, np.float32)
     return CrowdState(position, zero, velocity, zero, np.zeros(shape, bool), traits)
