@@ -17,6 +17,7 @@ import sys
 import warnings
 
 import numpy as np
+import reproduce_human as human_tables
 import reproduce_tables as tables
 
 from bson.evaluation.metrics import summarise
@@ -293,6 +294,27 @@ def gpu_robots():
     return lines
 
 
+def human():
+    """Lines of the table of models beside real people."""
+    return human_tables.lines(shipped("human"))
+
+
+def human_card(family, members):
+    """Lines of the card of a family that learned in scenes: how it was made, and each seed's row of `human`."""
+    row, recipe = shipped("human")[family], load_policy(members[0]).recipe
+    low, high = METHODS[recipe["method"]].lcf
+    made = (
+        f"Made by `macid train --preset human --method {recipe['method']} --agent-steps "
+        f"{recipe['agent_steps_done'] / 1e6:g}e6` (each seed), in the scenes of `macid.learning.scenes`, a decision every "
+        f"{recipe['period']:g} s. LCF in training: drawn from ({low:g}, {high:g})."
+    )
+    titles = human_tables.COLUMNS
+    lines = [made, "", f"| policy | {' | '.join(titles)} |", "|---" * (1 + len(titles)) + "|"]
+    for seed, name in enumerate(members):
+        lines.append(f"| `{name}` | {' | '.join(human_tables.column(row, title, seed) for title in titles)} |")
+    return [*lines, human_tables.lines({family: row})[-1]]
+
+
 def _made(recipe):
     """How a training was made, in one line, with its command."""
     method, period = recipe["method"], recipe["period"]
@@ -316,6 +338,8 @@ def _made(recipe):
 
 def pedestrian_card(family, members):
     """Lines of a family's card: how it was made, and the scores of each seed and of all."""
+    if METHODS[load_policy(members[0]).recipe["method"]].in_scenes:
+        return human_card(family, members)
     policies = {name: load_policy(name) for name in members}
     lines = [_made(policies[members[0]].recipe), "", *tables.header("policy")]
     lines += [tables.line(f"`{name}`", *tables.over_seeds([rows_of(name)])) for name in members]
@@ -361,6 +385,7 @@ def results():
         "table1": [line for method in TURNED for line in ["", *table1(method)]][1:],
         "knob": [line for figure in tables.KNOB for line in ["", *knob(figure)]][1:],
         "speed-and-period": speed_and_period(),
+        "human": human(),
         "gpu-crowds": gpu_crowds(),
         "gpu-robots": gpu_robots(),
         "headroom": headroom(),
