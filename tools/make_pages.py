@@ -305,8 +305,8 @@ def human_card(family, members):
     low, high = METHODS[recipe["method"]].lcf
     made = (
         f"Made by `macid train --preset human --method {recipe['method']} --agent-steps "
-        f"{recipe['agent_steps_done'] / 1e6:g}e6` (each seed), in the scenes of `macid.learning.scenes`, a decision every "
-        f"{recipe['period']:g} s. LCF in training: drawn from ({low:g}, {high:g})."
+        f"{recipe['agent_steps_done'] / 1e6:g}e6` (each seed), in the scenes of `macid.learning.scenes`, a decision "
+        f"every {recipe['period']:g} s. LCF in training: drawn from ({low:g}, {high:g})."
     )
     titles = human_tables.COLUMNS
     lines = [made, "", f"| policy | {' | '.join(titles)} |", "|---" * (1 + len(titles)) + "|"]

@@ -3,10 +3,10 @@
     tools/reproduce_human.py --data DIR --out human
 
 Writes OUT/human.json (what each seed of a model has of each measure, as the model is shipped and with bodies of 0.2 m;
-`matched`: open scenes in which everybody walks at its real one's mean speed; `knob`: what its LCF does) and OUT/human.md
-(the main measures' means, a row a model). Each measurement is kept in OUT/rows, so a stopped run goes on where it
-was. Without --data, flows alone. With --executor ray, models are measured side by side, on this machine's cores or on a
-cluster's; all else is as without.
+`matched`: open scenes in which everybody walks at its real one's mean speed; `knob`: what its LCF does) and
+OUT/human.md (the main measures' means, a row a model). Each measurement is kept in OUT/rows, so a stopped run goes on
+where it was. Without --data, flows and knob alone. With --executor ray, models are measured side by side, on this
+machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
@@ -63,7 +63,7 @@ def wanted(pedestrians, folder, seeds):
     for name in pedestrians:
         many = most_seeds(name, seeds)
         for radius in (None, NARROW) if own_radius(name) != NARROW else (None,):
-            options = Options(radius=radius, seeds=many, only=None if folder else "flows")
+            options = Options(radius=radius, seeds=many)
             found["human", name, radius] = options
             if folder:
                 found["matched", name, radius] = dataclasses.replace(options, matched=True, only="open")

@@ -1,5 +1,6 @@
 """What tools/*.sh and the flags of tools/reproduce_*.py answer where they can't do what was asked."""
 
+import json
 import os
 import pathlib
 import shutil
