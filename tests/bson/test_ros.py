@@ -113,8 +113,8 @@ def command(speed, yaw_rate=0.0, stamp=0):
 
 def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_says(tmp_path):
     """A node that wraps vfh drives `bson evaluate --agent ros`; a third node hears what is said."""
-    task = ["--suite", "smoke", "--episodes", "2", *WORDS]
     patient = ["--timeout", "300"]  # where the machine is busy, the first step takes long
+    task = ["--suite", "smoke", "--episodes", "2", *WORDS, *patient, "--videos", "0"]
     wanted = benchmark.evaluate("vfh", "smoke", episodes=2, overrides=SETS, quiet=True)
     topics = {
         name: topic for name, topic in messages.topics(TRACK.sensors).items() if name not in ("/tf", "/tf_static")
@@ -122,9 +122,7 @@ def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_s
     latched = {name for name, topic in topics.items() if topic.latched}
     with (
         Peer({}, {name: topic.kind for name, topic in topics.items()}, latched) as peer,
-        running(
-            "evaluate", "--agent", "ros", *task, *patient, "--videos", "0", "--out", "scored", cwd=tmp_path
-        ) as scoring,
+        running("evaluate", "--agent", "ros", *task, "--out", "scored", cwd=tmp_path) as scoring,
         contextlib.ExitStack() as driving,
     ):
         # This node is no part of the lockstep, so it has to be there before the node that drives.
