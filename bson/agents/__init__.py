@@ -60,6 +60,7 @@ BUILT_IN = {
     "rrt": "bson.agents.planning:Rrt",
     "rrt-star": "bson.agents.planning:RrtStar",
     "carrt-star": "bson.agents.planning:CarrtStar",
+    "mppi": "bson.agents.mppi:Mppi",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 
