@@ -61,6 +61,7 @@ BUILT_IN = {
     "rrt-star": "bson.agents.planning:RrtStar",
     "carrt-star": "bson.agents.planning:CarrtStar",
     "mppi": "bson.agents.mppi:Mppi",
+    "mppi-local": "bson.agents.mppi_local:MppiLocal",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 

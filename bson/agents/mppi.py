@@ -103,9 +103,7 @@ class Controller:
         self.radius = robot.radius
         self._top = setting.top
         accel = config.acceleration * setting.built_for[0]
-        self._robot = np.array(
-            [*setting.top, accel, robot.half_length, robot.half_width, robot.radius], np.float32
-        )
+        self._robot = np.array([*setting.top, accel, robot.half_length, robot.half_width, robot.radius], np.float32)
         self._person_radius = np.float32(setting.person_radius)
         times = np.arange(config.horizon) / (config.horizon - 1)
         knots = np.asarray(config.knots) / config.knots[-1]
@@ -117,30 +115,30 @@ class Controller:
         self._rng = np.random.default_rng(seed)
         self._plan = np.zeros((self.config.horizon, 2), np.float32)
 
-    def set_map(self, grid: Grid, goal: np.ndarray) -> None:
-        """Takes a new map or goal."""
+    def rate(self, occupied: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """The cost (rows, columns) of a metre of way in cells that are `clear` [m] from what is `occupied`."""
         c = self.config
-        clear = grid.clearance
         beyond = clear - (self.radius + c.margin)
         rate = 1.0 + c.comfort_cost * np.clip(1.0 - beyond / c.comfort, 0.0, 1.0)
         rate = np.where(beyond <= 0, 1.0 + c.blocked_cost, rate)
-        rate = np.where(grid.occupied, 10.0 * c.blocked_cost, rate)
-        self._grid, self._goal = grid, np.asarray(goal, np.float32)
-        self._way = way_field(grid, goal, rate)
-        pad = ((PATCH // 2, PATCH // 2),) * 2
-        self._ways = np.pad(self._way, pad, mode="edge")
-        self._clear = np.pad(np.asarray(clear, np.float32), pad)
+        return np.where(occupied, 10.0 * c.blocked_cost, rate)
 
-    def way(self, place: np.ndarray) -> float:
-        """The length of the way to the goal from `place` (2,) [m]."""
-        row, column = np.clip(self._grid.cells(place), 0, np.subtract(self._grid.shape, 1))
-        return float(self._way[row, column])
+    def set_map(self, grid: Grid, goal: np.ndarray) -> None:
+        """Takes a new map or goal."""
+        self._grid, self._goal = grid, np.asarray(goal, np.float32)
+        way = way_field(grid, goal, self.rate(grid.occupied, grid.clearance))
+        self._ways = np.pad(way, PATCH // 2, mode="edge")
+        self._clear = np.pad(np.asarray(grid.clearance, np.float32), PATCH // 2)
+
+    def _patch(self, row, column):
+        """The lengths of ways and the clearances (PATCH, PATCH) around the cell (row, column)."""
+        patch = (slice(row, row + PATCH), slice(column, column + PATCH))
+        return self._ways[patch], self._clear[patch]
 
     def decide(self, pose: np.ndarray, velocity: np.ndarray, people: np.ndarray) -> np.ndarray:
         """The action (2,) at `pose` (3,) and `velocity` (2,) among `people` (n, horizon, 2), where they will be."""
         c, grid = self.config, self._grid
         row, column = np.clip(grid.cells(pose[:2]), 0, np.subtract(grid.shape, 1))
-        patch = (slice(row, row + PATCH), slice(column, column + PATCH))
         origin = grid.centres(np.array([row, column]) - PATCH // 2)
         filled = np.full((c.people, c.horizon, 2), FAR_AWAY, np.float32)
         filled[: len(people)] = people[: c.people]
@@ -148,8 +146,7 @@ class Controller:
             np.array([0, 0, pose[2], *velocity], np.float32),
             (self._goal - pose[:2]).astype(np.float32),
             (origin - pose[:2]).astype(np.float32),
-            self._ways[patch],
-            self._clear[patch],
+            *self._patch(row, column),
             (filled - pose[:2]).astype(np.float32),
             np.float32(self.step),
             np.float32(grid.resolution),
@@ -202,8 +199,7 @@ def _guided(config):
 def _rollout(world, lag, commands, guide=None):
     """Places x, y, yaws and speeds (T, N) under commands (T, N, 2); with `guide` the yaw rates of its sequences follow
     the field. Also gives the commands."""
-    top, top_rate, acceleration = world.robot[0], world.robot[1], world.robot[2]
-    step = world.step
+    top_rate, acceleration, step = world.robot[1], world.robot[2], world.step
     follow = jnp.minimum(1.0, step / lag)
 
     def advance(carried, given):

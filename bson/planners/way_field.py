@@ -12,7 +12,8 @@ _SWEEPS = 8  # between two looks at the change
 
 
 def way_field(grid: Grid, goal: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The least integral (rows, columns) float32 [m] of `rate` along any way from each cell's centre to `goal` (2,) [m].
+    """The least integral (rows, columns) float32 [m] of `rate` along any way from each cell's centre to `goal` (2,)
+    [m].
 
     rate: (rows, columns), above 0: the cost of a metre of way in each cell; 1 where the way's length alone counts. The
     field V solves |grad V| = rate with V = 0 at the goal by Godunov's upwind scheme (Rouy and Tourin, SIAM J. Numer.
@@ -26,8 +27,13 @@ def way_field(grid: Grid, goal: np.ndarray, rate: np.ndarray) -> np.ndarray:
     near = near[((near >= 0) & (near < (rows, columns))).all(axis=-1)]
     start = np.full(grid.shape, FAR, np.float32)
     start[tuple(near.T)] = np.hypot(*(grid.centres(near) - goal).T)
-    step = np.asarray(rate * grid.resolution, np.float32)
-    return np.asarray(_solve(jnp.asarray(step), jnp.asarray(start)))
+    return solve_field(rate * grid.resolution, start)
+
+
+def solve_field(step: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """The field (rows, columns) float32 [m] that is at most `start` (rows, columns) [m], FAR where it is not known,
+    with a slope of `step` (rows, columns) for each cell [m]."""
+    return np.asarray(_solve(jnp.asarray(step, jnp.float32), jnp.asarray(start, jnp.float32)))
 
 
 @jax.jit
