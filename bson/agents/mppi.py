@@ -60,12 +60,13 @@ class MppiConfig:
     person_room: float = 0.3  # a gap that is smaller costs
     person_growth: float = 0.2  # growth of that room for each second ahead [m/s]
     person_weight: float = 100.0  # of a touch [points/s]
+    give: float = 0.02  # a way that runs so far into people does not come out again
     patience: float = 1.2  # time constant with which what comes later counts less
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
     wall_room: float = 0.3  # a gap that is smaller by this much costs
     wall_weight: float = 100.0  # of a touch [points/s]
-    time_weight: float = 4.0  # [points/s]
-    length_weight: float = 1.5  # of way driven or to go [points/m]
+    time_weight: float = 6.0  # [points/s]
+    length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
     change_weight: float = 0.0  # of changes of the commands [points for each top speed or rate]
 
@@ -169,6 +170,13 @@ def _lookup(world, x, y):
     return i * PATCH + j, u - j, v - i
 
 
+def _nearest_node(world, x, y):
+    """The index of the patch's cell whose centre is nearest to each place."""
+    j, i = (jnp.clip(jnp.rint((at - low) / world.resolution), 0, PATCH - 1).astype(jnp.int32)
+            for at, low in ((x, world.origin[0]), (y, world.origin[1])))  # fmt: skip
+    return i * PATCH + j
+
+
 def _read(field, place):
     """Values of a field (PATCH * PATCH,) at places of `_lookup`."""
     index, u, v = place
@@ -207,9 +215,7 @@ def _rollout(world, lag, commands, guide=None):
         command = given[0] if guide is None else given
         if guide is not None:
             command, now = given
-            place = _lookup(world, x, y)
-            index = place[0]
-            along = guide["heading"][index] + now
+            along = guide["heading"][_nearest_node(world, x, y)] + now
             rate = jnp.clip(_wrap(along - yaw) / guide["time"], -top_rate, top_rate)
             command = jnp.stack([command[:, 0], jnp.where(guide["is"], rate, command[:, 1])], axis=-1)
         new_v = v + jnp.clip(command[:, 0] - v, -acceleration * step, acceleration * step)
@@ -228,21 +234,19 @@ def _rollout(world, lag, commands, guide=None):
 def _costs(config, world, x, y, yaw, v, commands):
     """The costs (N,) of ways (T, N)."""
     c, step = config, world.step
-    half_length, half_width, radius = world.robot[3], world.robot[4], world.robot[5]
     times = step * jnp.arange(1, x.shape[0] + 1, dtype=jnp.float32)[:, None]
     before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), _arrived(world, x, y)[:-1]])
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
-    # people, seen from the robot's footprint
-    dx, dy = world.people[:, :, 0].T[:, None] - x[..., None], world.people[:, :, 1].T[:, None] - y[..., None]
-    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
-    ahead, aside = jnp.abs(cos * dx + sin * dy) - half_length, jnp.abs(cos * dy - sin * dx) - half_width
-    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
-    gap = jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
+    now = 2.0 * world.people[:, 0] - world.people[:, 1]
+    nearest = _gap(world, *world.state[:3, None, None], now[None])
+    gap = _gap(world, x, y, yaw, jnp.swapaxes(world.people, 0, 1))
+    least = jax.lax.cummin(gap, axis=0)
+    gap = jnp.where(least < jnp.minimum(nearest, 0.0) - c.give, least, gap)  # no way leads through somebody
     risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
     cost = c.person_weight * jnp.sum(weight * risk, axis=0)
     place = _lookup(world, x, y)
-    clear = _read(world.clearance.ravel(), place) - radius - c.wall_gap
+    clear = _read(world.clearance.ravel(), place) - world.robot[5] - c.wall_gap
     cost += c.wall_weight * jnp.sum(weight * jnp.maximum(1.0 - clear / c.wall_room, 0.0) ** 2, axis=0)
     left = _read(world.way.ravel(), (place[0][-1], place[1][-1], place[2][-1]))
     left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - _arrived(world, x[-1], y[-1]))
@@ -251,6 +255,15 @@ def _costs(config, world, x, y, yaw, v, commands):
     cost += c.length_weight * (way + left)
     cost += c.back_weight * step * jnp.sum(jnp.maximum(-v, 0.0) * going, axis=0)
     return cost
+
+
+def _gap(world, x, y, yaw, people):
+    """The least gaps (T, N) [m] between the footprint at x, y, yaw (T, N) and `people` (T, K, 2)."""
+    dx, dy = people[:, None, :, 0] - x[..., None], people[:, None, :, 1] - y[..., None]
+    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
+    ahead, aside = jnp.abs(cos * dx + sin * dy) - world.robot[3], jnp.abs(cos * dy - sin * dx) - world.robot[4]
+    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
+    return jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
 
 
 def _arrived(world, x, y):
