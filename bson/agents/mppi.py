@@ -68,7 +68,6 @@ class MppiConfig:
     time_weight: float = 6.0  # [points/s]
     length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
-    change_weight: float = 0.0  # of changes of the commands [points for each top speed or rate]
 
     margin: float = 0.12  # beside the radius: the least distance between ways and walls where there is room
     comfort: float = 0.5  # further distance from walls within which a metre of way costs more
