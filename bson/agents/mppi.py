@@ -60,7 +60,7 @@ class MppiConfig:
     person_room: float = 0.3  # a gap that is smaller costs
     person_growth: float = 0.2  # growth of that room for each second ahead [m/s]
     person_weight: float = 100.0  # of a touch [points/s]
-    give: float = 0.02  # a way that runs so far into people does not come out again
+    give: float = 0.02  # a way that leads so far into people, beyond what they walk into the robot, does not come out
     patience: float = 1.2  # time constant with which what comes later counts less
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
     wall_room: float = 0.3  # a gap that is smaller by this much costs
@@ -237,11 +237,12 @@ def _costs(config, world, x, y, yaw, v, commands):
     before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), _arrived(world, x, y)[:-1]])
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
-    now = 2.0 * world.people[:, 0] - world.people[:, 1]
-    nearest = _gap(world, *world.state[:3, None, None], now[None])
-    gap = _gap(world, x, y, yaw, jnp.swapaxes(world.people, 0, 1))
-    least = jax.lax.cummin(gap, axis=0)
-    gap = jnp.where(least < jnp.minimum(nearest, 0.0) - c.give, least, gap)  # no way leads through somebody
+    people = jnp.swapaxes(world.people, 0, 1)
+    gap = _gap(world, x, y, yaw, people)
+    standing = _gap(world, *jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1)), people)
+    into = gap < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
+    least = jax.lax.cummin(jnp.where(into, gap, jnp.inf), axis=0)
+    gap = jnp.minimum(gap, least)  # no way leads through somebody
     risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
     cost = c.person_weight * jnp.sum(weight * risk, axis=0)
     place = _lookup(world, x, y)
