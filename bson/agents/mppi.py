@@ -230,7 +230,7 @@ def _rollout(world, lag, commands, guide=None):
     return jax.lax.scan(advance, start, given)[1]
 
 
-def _costs(config, world, x, y, yaw, v, commands):
+def _costs(config, world, x, y, yaw, v):
     """The costs (N,) of ways (T, N)."""
     c, step = config, world.step
     times = step * jnp.arange(1, x.shape[0] + 1, dtype=jnp.float32)[:, None]
@@ -239,7 +239,8 @@ def _costs(config, world, x, y, yaw, v, commands):
     weight = step * jnp.exp(-times / c.patience) * going
     people = jnp.swapaxes(world.people, 0, 1)
     gap = _gap(world, x, y, yaw, people)
-    standing = _gap(world, *jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1)), people)
+    still = jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1))
+    standing = _gap(world, still[0], still[1], still[2], people)
     into = gap < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
     least = jax.lax.cummin(jnp.where(into, gap, jnp.inf), axis=0)
     gap = jnp.minimum(gap, least)  # no way leads through somebody
@@ -293,15 +294,14 @@ def _improved(config, world, plan, noise, spread):
     heading = jnp.arctan2(-dy, -dx).ravel()
     turn_time = jnp.maximum(c.turn_time, 1.25 * world.step)
     guide = {"is": is_guided, "angle": angle, "heading": heading, "time": turn_time}
-    *way, commands = _rollout(world, c.turn_lag, commands, guide)
-    costs = _costs(c, world, *way, commands)
+    x, y, yaw, v, commands = _rollout(world, c.turn_lag, commands, guide)
+    costs = _costs(c, world, x, y, yaw, v)
     best = jnp.argmin(costs)
     weights = jax.nn.softmax(-(costs - costs[best]) / c.temperature)
     mean = jnp.einsum("n,tnc->tc", weights, commands)
-    *way, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
-    two = _costs(c, world, *way, both)
-    chosen = jnp.argmin(two)
-    return both[:, chosen], jnp.stack(way[:2], axis=-1)[:, chosen]
+    x, y, yaw, v, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
+    chosen = jnp.argmin(_costs(c, world, x, y, yaw, v))
+    return both[:, chosen], jnp.stack([x, y], axis=-1)[:, chosen]
 
 
 class Mppi:

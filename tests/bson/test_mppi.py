@@ -200,7 +200,7 @@ def test_a_plan_keeps_to_the_robots_own_limits(robot):
     agent = Mppi(Setting.of(TaskConfig(robot=robot), make_track("global", "lidar2d")))
     agent(observe(np.zeros(3), GOAL, NOBODY, [0.0, 0.0], TRAP, occupancy_grid(layout_of(TRAP), 0.25, 0.0)))
     way, top = agent._controller.planned, load_robot(robot).config.max_speed
-    assert np.hypot(*np.diff(way, axis=0).T).max() <= top * PERIOD + 1e-4
+    assert way is not None and np.hypot(*np.diff(way, axis=0).T).max() <= top * PERIOD + 1e-4
 
 
 # --- what it knows
