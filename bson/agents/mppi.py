@@ -55,6 +55,7 @@ class MppiConfig:
 
     acceleration: float = 3.25  # that the tyres give, in top speeds a second, for all shipped robots [1/s]
     turn_lag: float = 0.1  # time constant of the yaw rate
+    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns more sharply than commanded [m/s2]
 
     people: int = 24  # number of the nearest people who count
     person_room: float = 0.3  # a gap that is smaller costs
@@ -203,11 +204,11 @@ def _guided(config):
     return speeds, angles, back, np.array(fixed, np.float32)
 
 
-def _rollout(world, lag, commands, guide=None):
+def _rollout(config, world, commands, guide=None):
     """Places x, y, yaws and speeds (T, N) under commands (T, N, 2); with `guide` the yaw rates of its sequences follow
     the field. Also gives the commands."""
     top_rate, acceleration, step = world.robot[1], world.robot[2], world.step
-    follow = jnp.minimum(1.0, step / lag)
+    follow = jnp.minimum(1.0, step / config.turn_lag)
 
     def advance(carried, given):
         x, y, yaw, v, w = carried
@@ -218,6 +219,8 @@ def _rollout(world, lag, commands, guide=None):
             rate = jnp.clip(_wrap(along - yaw) / guide["time"], -top_rate, top_rate)
             command = jnp.stack([command[:, 0], jnp.where(guide["is"], rate, command[:, 1])], axis=-1)
         new_v = v + jnp.clip(command[:, 0] - v, -acceleration * step, acceleration * step)
+        most = config.max_lateral_acceleration / jnp.maximum(jnp.abs(new_v), 1e-3)
+        command = jnp.stack([command[:, 0], jnp.clip(command[:, 1], -most, most)], axis=-1)
         new_w = w + follow * (command[:, 1] - w)
         middle = yaw + 0.5 * step * new_w
         way = 0.5 * step * (v + new_v)
@@ -294,12 +297,12 @@ def _improved(config, world, plan, noise, spread):
     heading = jnp.arctan2(-dy, -dx).ravel()
     turn_time = jnp.maximum(c.turn_time, 1.25 * world.step)
     guide = {"is": is_guided, "angle": angle, "heading": heading, "time": turn_time}
-    x, y, yaw, v, commands = _rollout(world, c.turn_lag, commands, guide)
+    x, y, yaw, v, commands = _rollout(c, world, commands, guide)
     costs = _costs(c, world, x, y, yaw, v)
     best = jnp.argmin(costs)
     weights = jax.nn.softmax(-(costs - costs[best]) / c.temperature)
     mean = jnp.einsum("n,tnc->tc", weights, commands)
-    x, y, yaw, v, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
+    x, y, yaw, v, both = _rollout(c, world, jnp.stack([mean, commands[:, best]], axis=1))
     chosen = jnp.argmin(_costs(c, world, x, y, yaw, v))
     return both[:, chosen], jnp.stack([x, y], axis=-1)[:, chosen]
 
