@@ -13,7 +13,7 @@ DIGESTS = {
     "scenarios": "7f1177ebb47f",
     "smoke": "d93d60ae24f8",
     "standard": "86bb56a5ca8e",
-    "street": "2362bb40aa1c",
+    "street": "64ddfa79a4af",
 }
 
 
