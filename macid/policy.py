@@ -334,11 +334,17 @@ class _Recipe(msgspec.Struct):
 def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
     """What `write_network` wrote to `path` (.npz), without an encoder: (layers, recipe). Raises UsageError (a
     ValueError) for what is none."""
-    path = pathlib.Path(path)
-    layers, person, recipe = _parsed(path, *_contents(path))
+    layers, person, recipe = read_networks(path)
     if person:
         raise UsageError(f"'{path}' is a pedestrians' policy, with an encoder of people.")
     return layers, recipe
+
+
+def read_networks(path: str | os.PathLike[str]) -> tuple[Any, Any, dict[str, Any]]:
+    """What `write_network` wrote to `path` (.npz): (layers, the layers of an encoder of people, recipe); without an
+    encoder its layers are (). Raises UsageError (a ValueError) for what is none."""
+    path = pathlib.Path(path)
+    return _parsed(path, *_contents(path))
 
 
 def _contents(path):

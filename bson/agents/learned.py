@@ -1,4 +1,4 @@
-"""Agents that were trained: an MLP on `bson.features`, run by NumPy alone.
+"""Agents that were trained, run by NumPy alone: an MLP on `bson.features`, or, guided, a network on `bson.guided`.
 
 macid.policy.write_network writes such an agent: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it
 scores, "output": "clip" or "tanh", and "setting": the setting in which it was trained). The shipped agents lie in
@@ -14,7 +14,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from bson import guided
 from bson.agents.contract import Setting, Unsuited
+from bson.agents.global_view import GlobalView
+from bson.agents.guide import MARGIN, Guide
 from bson.episodes.tracks import make_track
 from bson.features import FEATURES, SECTORS, TOP, Features
 from bson.sensors import Lidar2D
@@ -22,7 +25,7 @@ from bson.task import TaskConfig
 from macid import assets
 from macid.documents import convert
 from macid.files import UsageError
-from macid.policy import read_network
+from macid.policy import read_networks, write_network
 
 ACTIONS = 2
 _OUTPUTS = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
@@ -45,6 +48,11 @@ class Learned:
         self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
 
+    @classmethod
+    def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Learned":
+        """The agent for a robot that is trained in `setting`."""
+        return cls(layers, output, tuple(setting.top.tolist()))
+
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
         self._begun = False
@@ -63,6 +71,54 @@ class Learned:
                 x = np.maximum(x @ weight + bias, 0.0)
             weight, bias = self.layers[-1]
             return self._output(x @ weight + bias)
+
+
+class Guided:
+    """An agent for one world on the Global track with the 2D LIDAR: what it sees is `bson.guided`. layers: those of the
+    people's encoder first, then the head's, as `bson.learning.algorithms.export` gives them."""
+
+    track, sensor = "global", "lidar2d"
+
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
+        self.layers, self._output, self._setting = tuple(layers), _OUTPUTS[output], setting
+        self._view = GlobalView(setting)
+        self.reset(None)
+
+    @classmethod
+    def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Guided":
+        """The same as the class."""
+        return cls(layers, output, setting)
+
+    def reset(self, seed: int | None) -> None:
+        """Begins an episode."""
+        self._view.reset()
+        self._guide: Guide | None = None
+
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) in [-1, 1] for one world's observation."""
+        view = self._view
+        view.see(observation)
+        if self._guide is None:
+            grid = view.map.inflated(self._setting.robot.radius + MARGIN)
+            self._guide = Guide(self._setting, grid, view.goal)
+        return self.act(self._guide.see(observation, view.pose, view.people)[None])[0]
+
+    def act(self, x: np.ndarray) -> np.ndarray:
+        """Actions (N, 2) for vectors (N, bson.guided.SIZE)."""
+        person, head = self.layers[: guided.ENCODER_LAYERS], self.layers[guided.ENCODER_LAYERS :]
+        with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
+            x = guided.attended(person, x)
+            for weight, bias in head[:-1]:
+                x = np.maximum(x @ weight + bias, 0.0)
+            weight, bias = head[-1]
+            return self._output(x @ weight + bias)
+
+
+def write(path: Any, layers: Sequence[tuple[np.ndarray, np.ndarray]], recipe: dict[str, Any]) -> None:
+    """Writes `path`.npz and `path`.json of a robot's policy; of a guided one (its recipe's "inputs") the first layers
+    are the people's encoder."""
+    encoder = guided.ENCODER_LAYERS if recipe.get("inputs") == "guided" else 0
+    write_network(path, layers[encoder:], recipe, layers[:encoder])
 
 
 def names() -> list[str]:
@@ -150,7 +206,7 @@ def _shown(value):
 class Factory:
     """The AgentFactory of the policy `name` with `layers` and `recipe`, read from the file `path`."""
 
-    track, sensor, takes_setting = Learned.track, Learned.sensor, True
+    takes_setting = True
 
     def __init__(
         self,
@@ -161,15 +217,19 @@ class Factory:
         untrained: bool,
     ):
         self._name, self.untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
+        self._kind = _kind(recipe)
+        self.track, self.sensor = self._kind.track, self._kind.sensor
         self._trained = functools.cache(lambda: _trained(recipe, path))
         robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
         self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
 
-    def __call__(self, setting: Setting | None = None) -> Learned:
+    def __call__(self, setting: Setting | None = None) -> Any:
         """An agent for one world of `setting`. Raises Unsuited."""
         if setting is not None:
             self._check(setting)
-        return Learned(self._layers, self._output, self._top)
+        if self._kind is Learned:
+            return Learned(self._layers, self._output, self._top)
+        return self._kind(self._layers, self._output, setting or Setting.default(self.track, self.sensor))
 
     def _check(self, setting):
         """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy
@@ -196,14 +256,26 @@ def load(name: str, untrained: bool = False) -> Factory:
     unless `untrained`.
     """
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
-    layers, recipe = read_network(path)
+    layers, person, recipe = read_networks(path)
     output = recipe.get("output")
     if not isinstance(output, str) or output not in _OUTPUTS:
         raise UsageError(
             f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of "
             f"{', '.join(_OUTPUTS)}."
         )
-    for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
+    is_guided = _kind(recipe) is Guided
+    takes, sizes = (guided.ATTENDED, _ENCODER) if is_guided else (FEATURES, [])
+    for given, wanted, does in ((layers[0][0].shape[0], takes, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:
             raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
-    return Factory(name, path, layers, recipe, untrained)
+    if [weight.shape for weight, _ in person] != sizes:
+        raise UsageError(f"'{path}' is no robot's policy: its encoder of people has another shape than {sizes}.")
+    return Factory(name, path, (*person, *layers), recipe, untrained)
+
+
+_ENCODER = [(guided.OWN + guided.PERSON, guided.HIDDEN), (guided.HIDDEN, 1 + guided.ENCODED)]
+
+
+def _kind(recipe):
+    """The agent that a recipe is of."""
+    return Guided if recipe.get("inputs") == "guided" else Learned

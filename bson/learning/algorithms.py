@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
+from bson import guided
+from bson.learning.attention import PeopleAttention
 from bson.learning.tsallis import TsallisPolicy
 
 
@@ -48,6 +50,7 @@ class PpoConfig:
                 "net_arch": list(self.hidden),
                 "activation_fn": torch.nn.ReLU,
                 "log_std_init": self.log_std,
+                **_eyes(env),
             },
             seed=seed,
             device="cpu",
@@ -83,10 +86,16 @@ class SacConfig:
             learning_starts=self.learning_starts,
             train_freq=every,
             gradient_steps=every * env.num_envs // self.steps_per_update,
-            policy_kwargs={"net_arch": list(self.hidden), "q": self.q, "joint": self.joint},
+            policy_kwargs={"net_arch": list(self.hidden), "q": self.q, "joint": self.joint, **_eyes(env)},
             seed=seed,
             device="cpu",
         )
+
+
+def _eyes(env):
+    """How the policy reads what `env` gives: people by attention, where it tells of people."""
+    sees_people = env.observation_space.shape == (guided.SIZE,)
+    return {"features_extractor_class": PeopleAttention} if sees_people else {}
 
 
 def linear_layers(module: torch.nn.Module) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -97,8 +106,11 @@ def linear_layers(module: torch.nn.Module) -> list[tuple[np.ndarray, np.ndarray]
 
 def export(model: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
     """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" for a
-    model with an actor, such as SAC's, "clip" for others."""
+    model with an actor, such as SAC's, "clip" for others. The first bson.guided.ENCODER_LAYERS of a policy that sees
+    people are their encoder's."""
     if hasattr(model, "actor"):
-        return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
+        eyes = linear_layers(model.actor.features_extractor)
+        return eyes + linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
     policy = model.policy
-    return linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"
+    eyes = linear_layers(policy.pi_features_extractor)
+    return eyes + linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"

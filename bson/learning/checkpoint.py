@@ -134,7 +134,8 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
     check_arrays(found, wanted)
     if best:
         layers = [(found[f"best/weight{index}"], found[f"best/bias{index}"]) for index in range(len(layers))]
-        check_layers(layers)
+        for layer in layers:  # whose shapes are the example's
+            check_layers([layer])
         best = {"layers": layers, **best}
     try:
         torch.set_rng_state(torch.from_numpy(found["random/torch"]))

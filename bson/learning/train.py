@@ -24,6 +24,8 @@ from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.dataset import demonstrations
+from bson.learning.draw import load_draw, validation_seeds
+from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
@@ -45,7 +47,7 @@ from macid.learning.curves import (
     write_curve,
 )
 from macid.learning.jobs import Group, folder_of, train_groups
-from macid.policy import MOST_RECIPE_BYTES, write_network
+from macid.policy import MOST_RECIPE_BYTES
 from macid.registry import Kind
 
 ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
@@ -85,7 +87,8 @@ def hyperparameters(algo: str, preset: str = "fast") -> Any:
     return PRESETS[preset].get(algo) or KIND.load(algo)
 
 
-_TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
+INPUTS = {"scans": learned.Learned, "guided": learned.Guided}  # what a robot sees, and the agent that sees it
+_TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
 _RECENT = 100  # number of ended episodes in the curve's means
 _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
@@ -93,7 +96,7 @@ _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """How a robot is trained, on BSON/LocalLidar2D-v0."""
+    """How a robot is trained: on BSON/LocalLidar2D-v0 by its scans, or, `guided`, with the map and people's places."""
 
     algo: str = "ppo"
     seed: int = 0
@@ -103,6 +106,8 @@ class TrainConfig:
     validate_every: int = 100_000  # steps; the policy that scores best is kept
     validate_episodes: int = 64
     hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
+    inputs: str = "scans"  # what the robot sees: "scans" (bson.features) or "guided" (bson.guided)
+    draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
 
     def __post_init__(self):
         found = KIND.load(self.algo)
@@ -112,6 +117,14 @@ class TrainConfig:
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
         TaskConfig().replace(**self.task)  # raises where a field is not valid
+        if self.inputs not in INPUTS:
+            raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not {shown(self.inputs)}.")
+        if self.draw is not None:
+            load_draw(self.draw)
+            if self.inputs != "guided":
+                raise UsageError(f"A draw is for guided robots: --inputs guided, not {self.inputs}.")
+        if self.inputs == "guided" and self.algo == "bc":
+            raise UsageError("--inputs guided is for ppo, sac and tac, not bc.")
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", found)
 
@@ -131,6 +144,8 @@ class TrainConfig:
         own = self.algo.rpartition(":")[0]  # file.py or package.module
         called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        parts += ["guided"] if self.inputs == "guided" else []
+        parts += [pathlib.Path(self.draw).stem] if self.draw else []
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 
@@ -169,13 +184,12 @@ class _Keeper:
             if interrupted():
                 raise KeyboardInterrupt
 
-        seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
-        config = self.config
-        agent = functools.partial(
-            learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist())
-        )
-        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
-        measured = [measure(episode) for episode in episodes]
+        config, kind, measured = self.config, INPUTS[self.config.inputs], []
+        track = make_track(kind.track, kind.sensor)
+        agent = functools.partial(kind.of_layers, layers, output)
+        for setting, seeds in _validation(config):
+            episodes = sound(run_episodes(agent, setting, track, seeds, config.name, progress))
+            measured += [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
         if self.board:
@@ -197,7 +211,7 @@ class _Keeper:
         assert best is not None  # set by the first validation
         recipe = {
             "name": self.config.name,
-            **plain(self.config),
+            **_noted(self.config),
             "steps_done": steps,
             "seconds": round(self.seconds, 1),
             "output": best["output"],
@@ -208,7 +222,25 @@ class _Keeper:
             "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(self.curve, 60)],
             "versions": versions(),
         }
-        write_network(self.folder / "policy", best["layers"], recipe)
+        learned.write(self.folder / "policy", best["layers"], recipe)
+
+
+def _noted(config):
+    """A TrainConfig as a recipe has it, without what came later and is as it always was."""
+    noted = plain(config)
+    for name in ("inputs", "draw"):
+        if noted[name] == getattr(TrainConfig, name):
+            del noted[name]
+    return noted
+
+
+def _validation(config):
+    """[(setting, seeds), ...] of the episodes by which the policy of a training is chosen."""
+    if config.draw is None:
+        return [(config.setting, load_suite("paper").drawn(config.validate_episodes, _VALIDATION_SEED))]
+    settings = load_draw(config.draw).validation
+    each = -(-config.validate_episodes // len(settings))
+    return [(setting.replace(**config.task), validation_seeds(each)) for setting in settings]
 
 
 class _Progress(BaseCallback):
@@ -277,7 +309,10 @@ def _export(config, model):
 
 def _env(config, steps=0):
     """The worlds; their episodes follow from the seed and from `steps`, the number of steps done before."""
-    return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
+    seed = 10_000_000 * (config.seed + 1) + steps
+    if config.inputs == "guided":
+        return GuidedVecEnv(config.num_envs, seed, load_draw(config.draw) if config.draw else None, config.setting)
+    return FeatureVecEnv(config.num_envs, seed, **config.task)
 
 
 def _restored(keeper):
@@ -301,7 +336,7 @@ def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     if not (folder / "policy.npz").exists() or not path.exists():
         return False
     try:
-        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), plain(config)
+        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), _noted(config)
         done = recipe.get("steps_done")
         if isinstance(done, bool) or not isinstance(done, int | float):
             raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
