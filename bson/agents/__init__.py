@@ -60,6 +60,8 @@ BUILT_IN = {
     "rrt": "bson.agents.planning:Rrt",
     "rrt-star": "bson.agents.planning:RrtStar",
     "carrt-star": "bson.agents.planning:CarrtStar",
+    "mppi": "bson.agents.mppi:Mppi",
+    "mppi-local": "bson.agents.mppi_local:MppiLocal",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 

@@ -1,0 +1,326 @@
+"""Model predictive path integral control among people (Williams, Aldrich and Theodorou, "Model predictive path integral
+control: from theory to parallel computation", J. Guidance, Control, and Dynamics 2017; Williams et al.,
+"Information-theoretic model predictive control", T-RO 2018).
+
+Each control period the agent draws sequences of commands around its last plan, rolls the robot's own dynamics out under
+each of them, and judges the ways by a cost S: the time that the robot will need, the length of its way, and what it may
+touch. The new plan is the mean of the sequences weighted by exp(-S / temperature). The agent drives the plan's first
+command.
+
+- The rest of the way, beyond the horizon, costs what the shortest way around the walls costs from there: a field over
+  the whole map that solves the eikonal equation (`bson.planners.way_field`).
+- People are predicted for as long as the horizon (`MppiPolicy` says otherwise): they keep their velocity. The room that
+  they are given grows with how far ahead they are predicted.
+- Some of the sequences come from other controllers than the last plan, as in Biased-MPPI (Trevisan and Alonso-Mora,
+  RA-L 2024): to follow the field at several speeds, at several angles to it, to turn on the spot, to stand, to drive
+  back. If one sequence is better than the weighted mean, which may lie between two ways around somebody, the agent
+  takes that sequence.
+
+Sequences come in pairs that turn to opposite sides, so that the mirrored world gives the mirrored action.
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bson.agents.contract import Setting
+from bson.agents.global_view import GlobalView
+from bson.planners import Grid
+from bson.planners.way_field import way_field
+from macid.state import FAR_AWAY, GOAL_RADIUS
+
+
+@dataclass(frozen=True)
+class MppiConfig:
+    """What `Mppi` assumes and weighs. Metres, seconds, radians. Costs have the unit of points of the SNS, of 100."""
+
+    longest_period: float = 0.5  # between two decisions: a person walks 0.7 m meanwhile
+    step: float = 0.1  # of the rollout; at least the control period
+    horizon: int = 30  # steps of the rollout
+    pairs: int = 224  # of sequences around the last plan
+    knots: tuple = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 2.2, 3.0)  # of sequences' deviations, as shares of 3 s
+    speed_noise: float = 0.25  # standard deviation of a deviation of the speed, in top speeds
+    rate_noise: float = 0.4  # likewise of the yaw rate, in top yaw rates
+    temperature: float = 0.5  # [points]
+    guided_speeds: tuple = (1.0, 0.75, 0.5, 0.25)  # of sequences that follow the field, in top speeds
+    guided_angles: tuple = (0.0, 0.25, 0.5, 0.8, 1.2, 1.8)  # to either side of it
+    guided_time: float = 0.9  # after which half of them turn back to it
+    turn_time: float = 0.25  # in which a guided sequence makes its turn
+
+    acceleration: float = 3.25  # that the tyres give, in top speeds a second, for all shipped robots [1/s]
+    turn_lag: float = 0.1  # time constant of the yaw rate
+
+    people: int = 24  # number of the nearest people who count
+    person_room: float = 0.3  # a gap that is smaller costs
+    person_growth: float = 0.2  # growth of that room for each second ahead [m/s]
+    person_weight: float = 100.0  # of a touch [points/s]
+    patience: float = 1.2  # time constant with which what comes later counts less
+    wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
+    wall_room: float = 0.3  # a gap that is smaller by this much costs
+    wall_weight: float = 100.0  # of a touch [points/s]
+    time_weight: float = 2.0  # [points/s]
+    length_weight: float = 1.0  # of way driven or to go [points/m]
+    back_weight: float = 1.0  # of driving back, beside the length [points/m]
+    change_weight: float = 0.0  # of changes of the commands [points for each top speed or rate]
+
+    margin: float = 0.12  # beside the radius: the least distance between ways and walls where there is room
+    comfort: float = 0.5  # further distance from walls within which a metre of way costs more
+    comfort_cost: float = 0.5  # at the margin's end, for each metre
+    blocked_cost: float = 30.0  # of a metre of way nearer than the margin
+
+
+class World(NamedTuple):
+    """What the compiled part is told: a patch of the map around the robot, people, and the robot's abilities."""
+
+    state: Any  #: (5,) x, y, yaw, v, w
+    goal: Any  #: (2,)
+    origin: Any  #: (2,) the centre of the patch's first cell [m]
+    way: Any  #: (PATCH, PATCH) length of the way to the goal [m]
+    clearance: Any  #: (PATCH, PATCH) distance to the nearest wall [m]
+    people: Any  #: (people, horizon, 2) where each will be [m]
+    step: Any  #: [s]
+    resolution: Any  #: [m]
+    robot: Any  #: (6,) top speed, top yaw rate, acceleration, half length, half width, radius
+    person_radius: Any
+
+
+PATCH = 72  # cells of a side of the patch: 18 m at the map's resolution
+
+
+class Controller:
+    """The part that all agents of this kind share: it turns a map with a goal, and people, into actions."""
+
+    def __init__(self, setting: Setting, config: MppiConfig):
+        self.config, self._period = config, setting.control_period
+        robot = setting.robot
+        self.step = max(config.step, setting.control_period)
+        self.radius = robot.radius
+        self._top = setting.top
+        accel = config.acceleration * setting.built_for[0]
+        self._robot = np.array([*setting.top, accel, robot.half_length, robot.half_width, robot.radius], np.float32)
+        self._person_radius = np.float32(setting.person_radius)
+        times = np.arange(config.horizon) / (config.horizon - 1)
+        knots = np.asarray(config.knots) / config.knots[-1]
+        self._spread = np.stack([np.interp(times, knots, row) for row in np.eye(len(knots))]).astype(np.float32)
+        self.reset(0)
+
+    def reset(self, seed: int | None) -> None:
+        """Forgets the last plan."""
+        self._rng = np.random.default_rng(seed)
+        self._plan = np.zeros((self.config.horizon, 2), np.float32)
+
+    def rate(self, occupied: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """The cost (rows, columns) of a metre of way in cells that are `clear` [m] from what is `occupied`."""
+        c = self.config
+        beyond = clear - (self.radius + c.margin)
+        rate = 1.0 + c.comfort_cost * np.clip(1.0 - beyond / c.comfort, 0.0, 1.0)
+        rate = np.where(beyond <= 0, 1.0 + c.blocked_cost, rate)
+        return np.where(occupied, 10.0 * c.blocked_cost, rate)
+
+    def set_map(self, grid: Grid, goal: np.ndarray) -> None:
+        """Takes a new map or goal."""
+        self._grid, self._goal = grid, np.asarray(goal, np.float32)
+        way = way_field(grid, goal, self.rate(grid.occupied, grid.clearance))
+        self._ways = np.pad(way, PATCH // 2, mode="edge")
+        self._clear = np.pad(np.asarray(grid.clearance, np.float32), PATCH // 2)
+
+    def _patch(self, row, column):
+        """The lengths of ways and the clearances (PATCH, PATCH) around the cell (row, column)."""
+        patch = (slice(row, row + PATCH), slice(column, column + PATCH))
+        return self._ways[patch], self._clear[patch]
+
+    def decide(self, pose: np.ndarray, velocity: np.ndarray, people: np.ndarray) -> np.ndarray:
+        """The action (2,) at `pose` (3,) and `velocity` (2,) among `people` (n, horizon, 2), where they will be."""
+        c, grid = self.config, self._grid
+        row, column = np.clip(grid.cells(pose[:2]), 0, np.subtract(grid.shape, 1))
+        origin = grid.centres(np.array([row, column]) - PATCH // 2)
+        filled = np.full((c.people, c.horizon, 2), FAR_AWAY, np.float32)
+        filled[: len(people)] = people[: c.people]
+        world = World(
+            np.array([0, 0, pose[2], *velocity], np.float32),
+            (self._goal - pose[:2]).astype(np.float32),
+            (origin - pose[:2]).astype(np.float32),
+            *self._patch(row, column),
+            (filled - pose[:2]).astype(np.float32),
+            np.float32(self.step),
+            np.float32(grid.resolution),
+            self._robot,
+            self._person_radius,
+        )
+        noise = self._rng.standard_normal((c.pairs, len(c.knots), 2), np.float32)
+        self._plan, self.cost = _improved(c, world, self._plan, noise, self._spread)
+        self._plan = plan = np.asarray(self._plan)
+        share = self._period / self.step
+        self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
+        return np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
+
+
+def _lookup(world, x, y):
+    """Bilinear weights and indices of places in the patch."""
+    u = jnp.clip((x - world.origin[0]) / world.resolution, 0.0, PATCH - 1.001)
+    v = jnp.clip((y - world.origin[1]) / world.resolution, 0.0, PATCH - 1.001)
+    j, i = u.astype(jnp.int32), v.astype(jnp.int32)
+    return i * PATCH + j, u - j, v - i
+
+
+def _read(field, place):
+    """Values of a field (PATCH * PATCH,) at places of `_lookup`."""
+    index, u, v = place
+    below = field[index] * (1 - u) + field[index + 1] * u
+    above = field[index + PATCH] * (1 - u) + field[index + PATCH + 1] * u
+    return below * (1 - v) + above * v
+
+
+def _wrap(angle):
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def _guided(config):
+    """Guided sequences: speeds (share), angles, and whether they turn back to the field; then fixed (v, w)."""
+    rows = []
+    for speed in config.guided_speeds:
+        for angle in config.guided_angles:
+            for sign in (1, -1) if angle else (1,):
+                for back in (False, True) if angle else (False,):
+                    rows.append((speed, sign * angle, back))
+    speeds, angles, back = (np.array(column, np.float32) for column in zip(*rows, strict=True))
+    fixed = [(0, 0), (0, 1), (0, -1)]
+    fixed += [(v, w) for v in (-0.25, -0.5, -1.0) for w in (-0.5, 0, 0.5)]
+    fixed += [(v, w) for v in (0.5, 1.0) for w in (-1.0, -0.5, 0, 0.5, 1.0)]
+    return speeds, angles, back, np.array(fixed, np.float32)
+
+
+def _rollout(world, lag, commands, guide=None):
+    """Places x, y, yaws and speeds (T, N) under commands (T, N, 2); with `guide` the yaw rates of its sequences follow
+    the field. Also gives the commands."""
+    top_rate, acceleration, step = world.robot[1], world.robot[2], world.step
+    follow = jnp.minimum(1.0, step / lag)
+
+    def advance(carried, given):
+        x, y, yaw, v, w = carried
+        command = given[0] if guide is None else given
+        if guide is not None:
+            command, now = given
+            place = _lookup(world, x, y)
+            index = place[0]
+            along = guide["heading"][index] + now
+            rate = jnp.clip(_wrap(along - yaw) / guide["time"], -top_rate, top_rate)
+            command = jnp.stack([command[:, 0], jnp.where(guide["is"], rate, command[:, 1])], axis=-1)
+        new_v = v + jnp.clip(command[:, 0] - v, -acceleration * step, acceleration * step)
+        new_w = w + follow * (command[:, 1] - w)
+        middle = yaw + 0.5 * step * new_w
+        way = 0.5 * step * (v + new_v)
+        state = (x + way * jnp.cos(middle), y + way * jnp.sin(middle), yaw + step * new_w, new_v, new_w)
+        return state, (*state[:4], command)
+
+    n = commands.shape[1]
+    start = tuple(jnp.broadcast_to(value, (n,)) for value in world.state)
+    given = (commands,) if guide is None else (commands, guide["angle"])
+    return jax.lax.scan(advance, start, given)[1]
+
+
+def _costs(config, world, x, y, yaw, v, commands):
+    """The costs (N,) of ways (T, N)."""
+    c, step = config, world.step
+    half_length, half_width, radius = world.robot[3], world.robot[4], world.robot[5]
+    times = step * jnp.arange(1, x.shape[0] + 1, dtype=jnp.float32)[:, None]
+    before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), _arrived(world, x, y)[:-1]])
+    going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
+    weight = step * jnp.exp(-times / c.patience) * going
+    # people, seen from the robot's footprint
+    dx, dy = world.people[:, :, 0].T[:, None] - x[..., None], world.people[:, :, 1].T[:, None] - y[..., None]
+    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
+    ahead, aside = jnp.abs(cos * dx + sin * dy) - half_length, jnp.abs(cos * dy - sin * dx) - half_width
+    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
+    gap = jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
+    risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
+    cost = c.person_weight * jnp.sum(weight * risk, axis=0)
+    place = _lookup(world, x, y)
+    clear = _read(world.clearance.ravel(), place) - radius - c.wall_gap
+    cost += c.wall_weight * jnp.sum(weight * jnp.maximum(1.0 - clear / c.wall_room, 0.0) ** 2, axis=0)
+    left = _read(world.way.ravel(), (place[0][-1], place[1][-1], place[2][-1]))
+    left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - _arrived(world, x[-1], y[-1]))
+    way = step * jnp.sum(jnp.abs(v) * going, axis=0)
+    cost += c.time_weight * (step * jnp.sum(going, axis=0) + left / world.robot[0])
+    cost += c.length_weight * (way + left)
+    cost += c.back_weight * step * jnp.sum(jnp.maximum(-v, 0.0) * going, axis=0)
+    return cost
+
+
+def _arrived(world, x, y):
+    return (x - world.goal[0]) ** 2 + (y - world.goal[1]) ** 2 < (0.9 * GOAL_RADIUS) ** 2
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _improved(config, world, plan, noise, spread):
+    """The new plan (T, 2) and its cost."""
+    c = config
+    top, top_rate = world.robot[0], world.robot[1]
+    limit = jnp.stack([top, top_rate])
+    deviation = jnp.einsum("nkc,kt->tnc", noise, spread) * jnp.stack([c.speed_noise * top, c.rate_noise * top_rate])
+    mirrored = deviation * jnp.asarray([1.0, -1.0])
+    around = plan[:, None] + jnp.concatenate([jnp.zeros_like(deviation[:, :1]), deviation, mirrored], axis=1)
+    speeds, angles, back, fixed = _guided(c)
+    horizon = plan.shape[0]
+    guided = jnp.stack([jnp.broadcast_to(speeds * top, (horizon, len(speeds))), jnp.zeros((horizon, len(speeds)))], -1)
+    steady = jnp.broadcast_to(fixed * limit, (horizon, *fixed.shape))
+    commands = jnp.clip(jnp.concatenate([around, steady, guided], axis=1), -limit, limit)
+    number = commands.shape[1]
+    is_guided = jnp.arange(number) >= number - len(speeds)
+    time = world.step * jnp.arange(horizon)[:, None]
+    angle = jnp.where((back > 0) & (time > c.guided_time), 0.0, angles)
+    angle = jnp.concatenate([jnp.zeros((horizon, number - len(speeds))), angle], axis=1)
+    dy, dx = jnp.gradient(world.way)
+    heading = jnp.arctan2(-dy, -dx).ravel()
+    turn_time = jnp.maximum(c.turn_time, 1.25 * world.step)
+    guide = {"is": is_guided, "angle": angle, "heading": heading, "time": turn_time}
+    *way, commands = _rollout(world, c.turn_lag, commands, guide)
+    costs = _costs(c, world, *way, commands)
+    best = jnp.argmin(costs)
+    weights = jax.nn.softmax(-(costs - costs[best]) / c.temperature)
+    mean = jnp.einsum("n,tnc->tc", weights, commands)
+    *way, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
+    two = _costs(c, world, *way, both)
+    return jnp.where(two[0] <= two[1], mean, commands[:, best]), jnp.min(two)
+
+
+class Mppi:
+    """The agent: called with a world's Global observation each control period, it returns an action (2,) in [-1, 1]."""
+
+    track, sensor = "global", "lidar2d"
+
+    def __init__(self, setting: Setting | None = None, config: MppiConfig = MppiConfig()):
+        setting = Setting.default("global") if setting is None else setting
+        setting.check_period(config.longest_period)
+        self.config = config
+        self._view = GlobalView(setting)
+        self._controller = Controller(setting, config)
+        self.reset(0)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begins an episode; samples are drawn from `seed`."""
+        self._view.reset()
+        self._controller.reset(seed)
+        self._known = False
+
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
+        view, control = self._view, self._controller
+        view.see(observation)
+        if not self._known:
+            control.set_map(view.map, view.goal)
+            self._known = True
+        distance = np.hypot(*(view.people - view.pose[:2]).T)
+        near = np.argsort(distance, kind="stable")[: self.config.people]
+        return control.decide(view.pose, np.asarray(observation["velocity"], float), self._predicted(near))
+
+    def _predicted(self, near):
+        """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""
+        times = self._controller.step * np.arange(1, self.config.horizon + 1)
+        return self._view.people[near, None] + times[:, None] * self._view.people_velocity[near, None]
