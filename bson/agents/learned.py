@@ -16,8 +16,7 @@ import numpy as np
 
 from bson import guided
 from bson.agents.contract import Setting, Unsuited
-from bson.agents.global_view import GlobalView
-from bson.agents.guide import MARGIN, Guide
+from bson.agents.guide import MapSight, ScanSight
 from bson.episodes.tracks import make_track
 from bson.features import FEATURES, SECTORS, TOP, Features
 from bson.sensors import Lidar2D
@@ -74,34 +73,27 @@ class Learned:
 
 
 class Guided:
-    """An agent for one world on the Global track with the 2D LIDAR: what it sees is `bson.guided`. layers: those of the
-    people's encoder first, then the head's, as `bson.learning.algorithms.export` gives them."""
+    """An agent for one world: what it sees is `bson.guided`, with the map and people's places (the Global track).
+    layers: those of the people's encoder first, then the head's, as `bson.learning.algorithms.export` gives them."""
 
-    track, sensor = "global", "lidar2d"
+    sight, track, sensor = MapSight, MapSight.track, "lidar2d"
 
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
-        self.layers, self._output, self._setting = tuple(layers), _OUTPUTS[output], setting
-        self._view = GlobalView(setting)
-        self.reset(None)
+        self.layers, self._output = tuple(layers), _OUTPUTS[output]
+        self._sight = self.sight(setting)
 
     @classmethod
     def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Guided":
-        """The same as the class."""
+        """The agent for a robot that is trained in `setting`."""
         return cls(layers, output, setting)
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        self._view.reset()
-        self._guide: Guide | None = None
+        self._sight.reset()
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
-        view = self._view
-        view.see(observation)
-        if self._guide is None:
-            grid = view.map.inflated(self._setting.robot.radius + MARGIN)
-            self._guide = Guide(self._setting, grid, view.goal)
-        return self.act(self._guide.see(observation, view.pose, view.people)[None])[0]
+        return self.act(self._sight.see(observation)[None])[0]
 
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for vectors (N, bson.guided.SIZE)."""
@@ -114,10 +106,20 @@ class Guided:
             return self._output(x @ weight + bias)
 
 
+class ScanGuided(Guided):
+    """The same by the LIDAR alone (the Local track)."""
+
+    sight, track = ScanSight, ScanSight.track
+
+
+# What a robot sees, as a recipe's "inputs" has it, and the agent that sees it.
+KINDS: dict[str, Any] = {"scans": Learned, "guided": Guided, "guided-scans": ScanGuided}
+
+
 def write(path: Any, layers: Sequence[tuple[np.ndarray, np.ndarray]], recipe: dict[str, Any]) -> None:
     """Writes `path`.npz and `path`.json of a robot's policy; of a guided one (its recipe's "inputs") the first layers
     are the people's encoder."""
-    encoder = guided.ENCODER_LAYERS if recipe.get("inputs") == "guided" else 0
+    encoder = guided.ENCODER_LAYERS if _kind(recipe) is not Learned else 0
     write_network(path, layers[encoder:], recipe, layers[:encoder])
 
 
@@ -263,7 +265,7 @@ def load(name: str, untrained: bool = False) -> Factory:
             f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of "
             f"{', '.join(_OUTPUTS)}."
         )
-    is_guided = _kind(recipe) is Guided
+    is_guided = issubclass(_kind(recipe), Guided)
     takes, sizes = (guided.ATTENDED, _ENCODER) if is_guided else (FEATURES, [])
     for given, wanted, does in ((layers[0][0].shape[0], takes, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
         if given != wanted:
@@ -278,4 +280,4 @@ _ENCODER = [(guided.OWN + guided.PERSON, guided.HIDDEN), (guided.HIDDEN, 1 + gui
 
 def _kind(recipe):
     """The agent that a recipe is of."""
-    return Guided if recipe.get("inputs") == "guided" else Learned
+    return KINDS.get(recipe.get("inputs"), Learned)

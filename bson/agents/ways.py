@@ -1,6 +1,4 @@
-"""Shortest ways to one goal over an occupancy grid, from anywhere: what a robot that follows them has to know of them."""
-
-from typing import Any
+"""Shortest ways to one goal over an occupancy grid, from anywhere, and what a robot that follows one has to know."""
 
 import numpy as np
 from scipy import ndimage
@@ -9,7 +7,7 @@ from scipy.sparse import csgraph
 from bson.planners import Grid
 
 _FARTHEST = 80  # cells of the way that are looked at for the farthest one in sight
-_EVERY = 3  # of these cells, each so manieth
+_EVERY = 3  # of these cells, every third is
 _STEP = 0.6  # between two looked-at points of a line of sight [cells]
 _OWN = 0.4  # a line of sight may begin within an obstacle's margin: this much of it is not looked at [m]
 _BEYOND = 3.0  # length of way from the aim to the point that tells the next turn [m]
@@ -88,9 +86,3 @@ class Ways:
                 return True
             node = self._next[node]
         return False
-
-
-def robot_frame(vectors: Any, yaw: float) -> np.ndarray:
-    """World vectors (..., 2) in the axes of a robot with `yaw` [rad]."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.asarray(vectors) @ np.array([[c, -s], [s, c]])

@@ -87,7 +87,7 @@ def hyperparameters(algo: str, preset: str = "fast") -> Any:
     return PRESETS[preset].get(algo) or KIND.load(algo)
 
 
-INPUTS = {"scans": learned.Learned, "guided": learned.Guided}  # what a robot sees, and the agent that sees it
+INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
 _RECENT = 100  # number of ended episodes in the curve's means
@@ -121,10 +121,10 @@ class TrainConfig:
             raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not {shown(self.inputs)}.")
         if self.draw is not None:
             load_draw(self.draw)
-            if self.inputs != "guided":
+            if self.inputs == "scans":
                 raise UsageError(f"A draw is for guided robots: --inputs guided, not {self.inputs}.")
-        if self.inputs == "guided" and self.algo == "bc":
-            raise UsageError("--inputs guided is for ppo, sac and tac, not bc.")
+        if self.inputs != "scans" and self.algo == "bc":
+            raise UsageError(f"--inputs {self.inputs} is for ppo, sac and tac, not bc.")
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", found)
 
@@ -144,7 +144,7 @@ class TrainConfig:
         own = self.algo.rpartition(":")[0]  # file.py or package.module
         called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
-        parts += ["guided"] if self.inputs == "guided" else []
+        parts += [self.inputs] if self.inputs != "scans" else []
         parts += [pathlib.Path(self.draw).stem] if self.draw else []
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
@@ -310,7 +310,7 @@ def _export(config, model):
 def _env(config, steps=0):
     """The worlds; their episodes follow from the seed and from `steps`, the number of steps done before."""
     seed = 10_000_000 * (config.seed + 1) + steps
-    if config.inputs == "guided":
+    if config.inputs != "scans":
         return GuidedVecEnv(config.num_envs, seed, load_draw(config.draw) if config.draw else None, config.setting)
     return FeatureVecEnv(config.num_envs, seed, **config.task)
 
