@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from bson.agents import learned
+from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited
 from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
@@ -23,6 +23,7 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
+from bson.learning.dagger import DaggerConfig, learn
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw, validation_seeds
 from bson.learning.guided_env import GuidedVecEnv
@@ -50,7 +51,8 @@ from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES
 from macid.registry import Kind
 
-ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+ALGORITHMS: dict[str, Any] = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+RECURRENT = DaggerConfig()  # BC's configuration for robots with a recurrent network
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
@@ -122,11 +124,14 @@ class TrainConfig:
         if self.draw is not None:
             load_draw(self.draw)
             if self.inputs == "scans":
-                raise UsageError(f"A draw is for guided robots: --inputs guided, not {self.inputs}.")
-        if self.inputs != "scans" and self.algo == "bc":
-            raise UsageError(f"--inputs {self.inputs} is for ppo, sac and tac, not bc.")
+                others = ", ".join(name for name in INPUTS if name != "scans")
+                raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
+        kinds = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]
+        fits = {"bc": ["scans", *kinds]}.get(self.algo, [name for name in INPUTS if name not in kinds])
+        if self.inputs not in fits:
+            raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", found)
+            object.__setattr__(self, "hyperparameters", RECURRENT if self.inputs in kinds else found)
 
     @property
     def setting(self) -> TaskConfig:
@@ -209,13 +214,16 @@ class _Keeper:
         """Writes the best policy so far, with its recipe."""
         best = self.best
         assert best is not None  # set by the first validation
+        kind = INPUTS[self.config.inputs]
         recipe = {
             "name": self.config.name,
             **_noted(self.config),
             "steps_done": steps,
             "seconds": round(self.seconds, 1),
             "output": best["output"],
-            "setting": learned.setting_document(Setting.of(self.config.setting, _TRACK)),
+            "setting": learned.setting_document(
+                Setting.of(self.config.setting, make_track("local", kind.sensor)), getattr(kind, "pictures", False)
+            ),
             "from_steps": best["steps"],
             "validation": best["validation"],
             "validations": self.validations,
@@ -369,7 +377,9 @@ def train(
     if tensorboard:
         check_tensorboard()
     if config.algo == "bc" and not is_done(config, path):
-        _expert(config)  # refuses a wrong expert before anything is written
+        _expert(config) if config.inputs == "scans" else _teacher(
+            config
+        )  # refuses a wrong expert before anything is written
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -380,11 +390,12 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
-    model = None if isinstance(config.hyperparameters, BcConfig) else _restored(keeper)
+    imitates = isinstance(config.hyperparameters, BcConfig | DaggerConfig)
+    model = None if imitates else _restored(keeper)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
-    if isinstance(config.hyperparameters, BcConfig):
-        return _train_bc(config, keeper, show)
+    if imitates:
+        return (_train_bc if config.inputs == "scans" else _train_pupil)(config, keeper, show)
     resumed = model is not None
     if model is not None:
         show(model.num_timesteps, {})
@@ -475,6 +486,36 @@ def _expert(config):
         told = str(error).partition(";")[0]
         raise UsageError(f"{told}: BC needs an expert of its setting (in Python: BcConfig(expert=FILE)).") from None
     return expert
+
+
+def _teacher(config):
+    """The factory of a pupil's teacher. Raises UsageError where there is none of that name."""
+    return load_agent(config.hyperparameters.expert)
+
+
+def _train_pupil(config, keeper, show):
+    done = 0
+
+    def progress(more):
+        nonlocal done
+        done += more
+        if done // 1000 > (done - more) // 1000:
+            show(min(done, config.steps), {})
+
+    def told(update, loss):
+        keeper.log({"steps": min(done, config.steps), "seconds": round(keeper.seconds, 1), "loss": loss})
+        show(min(done, config.steps), {"update": update, "loss": loss})
+
+    def validate(parts, steps):
+        layers = [layer for part in parts.values() for layer in part]
+        show(steps, keeper.validate(layers, "clip", steps), validation=True)
+        keeper.write(steps)
+
+    draw = load_draw(config.draw) if config.draw else None
+    settings = config.hyperparameters, config.seed, validate
+    learn(_teacher(config), INPUTS[config.inputs], config.setting, draw, config.steps, *settings, progress, told)
+    keeper.write(config.steps)
+    return keeper.folder
 
 
 def _train_bc(config, keeper, show):
