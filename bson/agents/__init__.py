@@ -61,7 +61,9 @@ BUILT_IN = {
     "rrt-star": "bson.agents.planning:RrtStar",
     "carrt-star": "bson.agents.planning:CarrtStar",
     "mppi": "bson.agents.mppi:Mppi",
+    "mppi-policy": "bson.agents.mppi_policy:MppiPolicy",
     "mppi-local": "bson.agents.mppi_local:MppiLocal",
+    "sfm-planner": "bson.agents.sfm_planner:SfmPlanner",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 

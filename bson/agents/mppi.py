@@ -32,7 +32,7 @@ import numpy as np
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
 from bson.planners import Grid
-from bson.planners.way_field import way_field
+from bson.planners.way_field import rate_by_clearance, way_field
 from macid.state import FAR_AWAY, GOAL_RADIUS
 
 
@@ -64,8 +64,8 @@ class MppiConfig:
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
     wall_room: float = 0.3  # a gap that is smaller by this much costs
     wall_weight: float = 100.0  # of a touch [points/s]
-    time_weight: float = 2.0  # [points/s]
-    length_weight: float = 1.0  # of way driven or to go [points/m]
+    time_weight: float = 4.0  # [points/s]
+    length_weight: float = 1.5  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
     change_weight: float = 0.0  # of changes of the commands [points for each top speed or rate]
 
@@ -100,6 +100,7 @@ class Controller:
         self.config, self._period = config, setting.control_period
         robot = setting.robot
         self.step = max(config.step, setting.control_period)
+        self.times = self.step * np.arange(1, config.horizon + 1)  # of the rollout [s]
         self.radius = robot.radius
         self._top = setting.top
         accel = config.acceleration * setting.built_for[0]
@@ -114,14 +115,13 @@ class Controller:
         """Forgets the last plan."""
         self._rng = np.random.default_rng(seed)
         self._plan = np.zeros((self.config.horizon, 2), np.float32)
+        self.planned = None  # the way (horizon, 2) of the last plan [m], from the place where it was made
 
     def rate(self, occupied: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """The cost (rows, columns) of a metre of way in cells that are `clear` [m] from what is `occupied`."""
         c = self.config
-        beyond = clear - (self.radius + c.margin)
-        rate = 1.0 + c.comfort_cost * np.clip(1.0 - beyond / c.comfort, 0.0, 1.0)
-        rate = np.where(beyond <= 0, 1.0 + c.blocked_cost, rate)
-        return np.where(occupied, 10.0 * c.blocked_cost, rate)
+        least = self.radius + c.margin
+        return rate_by_clearance(occupied, clear, least, c.comfort, c.comfort_cost, c.blocked_cost)
 
     def set_map(self, grid: Grid, goal: np.ndarray) -> None:
         """Takes a new map or goal."""
@@ -154,10 +154,10 @@ class Controller:
             self._person_radius,
         )
         noise = self._rng.standard_normal((c.pairs, len(c.knots), 2), np.float32)
-        self._plan, self.cost = _improved(c, world, self._plan, noise, self._spread)
-        self._plan = plan = np.asarray(self._plan)
+        plan, way = (np.asarray(each) for each in _improved(c, world, self._plan, noise, self._spread))
         share = self._period / self.step
         self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
+        self.planned = way + pose[:2]
         return np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
 
 
@@ -259,7 +259,7 @@ def _arrived(world, x, y):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _improved(config, world, plan, noise, spread):
-    """The new plan (T, 2) and its cost."""
+    """The new plan (T, 2), and the way that it leads (T, 2)."""
     c = config
     top, top_rate = world.robot[0], world.robot[1]
     limit = jnp.stack([top, top_rate])
@@ -287,7 +287,8 @@ def _improved(config, world, plan, noise, spread):
     mean = jnp.einsum("n,tnc->tc", weights, commands)
     *way, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
     two = _costs(c, world, *way, both)
-    return jnp.where(two[0] <= two[1], mean, commands[:, best]), jnp.min(two)
+    chosen = jnp.argmin(two)
+    return both[:, chosen], jnp.stack(way[:2], axis=-1)[:, chosen]
 
 
 class Mppi:
@@ -322,5 +323,9 @@ class Mppi:
 
     def _predicted(self, near):
         """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""
-        times = self._controller.step * np.arange(1, self.config.horizon + 1)
-        return self._view.people[near, None] + times[:, None] * self._view.people_velocity[near, None]
+        return going_on(self._view.people[near], self._view.people_velocity[near], self._controller.times)
+
+
+def going_on(places: np.ndarray, velocities: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Where people at `places` (n, 2) [m] will be (n, T, 2) at `times` (T,) [s] if they keep their `velocities`."""
+    return places[:, None] + times[:, None] * velocities[:, None]

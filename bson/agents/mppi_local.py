@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from bson.agents.contract import Setting
-from bson.agents.mppi import PATCH, Controller, MppiConfig
+from bson.agents.mppi import PATCH, Controller, MppiConfig, going_on
 from bson.agents.scan_map import ScanMap
 from bson.agents.tracking import Tracking, TrackingConfig
 from bson.planners import Grid
@@ -58,8 +58,7 @@ class MppiLocal(Tracking):
         places, velocities = self.people
         near = np.argsort(np.hypot(*places.T), kind="stable")[: self.config.people]
         places = places[near] @ self._rotation.T + self._position
-        times = self._controller.step * np.arange(1, self.config.horizon + 1)
-        people = places[:, None] + times[:, None] * (velocities[near] @ self._rotation.T)[:, None]
+        people = going_on(places, velocities[near] @ self._rotation.T, self._controller.times)
         return self._controller.decide(np.array([*self._position, self._yaw]), velocity, people)
 
     def _look(self, scan):

@@ -89,8 +89,8 @@ class OrcaOracle:
         v, w = np.asarray(observation["velocity"], float)
         velocity = geometry.rotate(np.array([v, self.config.ahead * w]), yaw)
         people = np.column_stack([view.people, view.people_velocity])
-        people = _nearest(people, np.hypot(*(view.people - point).T), self.config.neighbors)
-        walls = _nearest(self._boxes, geometry.point_box_distance(point, self._boxes), self.config.walls)
+        people = nearest_rows(people, np.hypot(*(view.people - point).T), self.config.neighbors)
+        walls = nearest_rows(self._boxes, geometry.point_box_distance(point, self._boxes), self.config.walls)
         position, velocity = np.vstack([point, people[:, :2]]), np.vstack([velocity, people[:, 2:]])
         chosen = _choose(
             self.config,
@@ -131,7 +131,7 @@ class OrcaOracle:
         return np.concatenate([shortcut(path, grid)[1:-1], goal[None]])
 
 
-def _nearest(rows, distance, count):
+def nearest_rows(rows: np.ndarray, distance: np.ndarray, count: int) -> np.ndarray:
     """The `count` of `rows` (N, n) with the least `distance` (N,), filled up with rows that are out of reach."""
     nearest = rows[np.argsort(distance, kind="stable")[:count]]
     missing = np.zeros((count - len(nearest), rows.shape[1]))

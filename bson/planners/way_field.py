@@ -36,6 +36,17 @@ def solve_field(step: np.ndarray, start: np.ndarray) -> np.ndarray:
     return np.asarray(_solve(jnp.asarray(step, jnp.float32), jnp.asarray(start, jnp.float32)))
 
 
+def rate_by_clearance(
+    occupied: np.ndarray, clear: np.ndarray, least: float, comfort: float, cost: float = 0.5, blocked: float = 30.0
+) -> np.ndarray:
+    """A rate for `way_field` (rows, columns): 1 where a cell is `clear` [m] by `least` + `comfort` [m] of what is
+    `occupied`, rising to 1 + `cost` at `least`; 1 + `blocked` below, so that who was pushed there finds out again, and
+    ten times `blocked` in what is occupied."""
+    beyond = clear - least
+    rate = 1.0 + cost * np.clip(1.0 - beyond / comfort, 0.0, 1.0)
+    return np.where(occupied, 10.0 * blocked, np.where(beyond <= 0, 1.0 + blocked, rate))
+
+
 @jax.jit
 def _solve(step, start):
     def sweep(field):
