@@ -345,8 +345,8 @@ class Factory:
         untrained: bool,
     ):
         self._name, self.untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
-        self._kind = _kind(recipe)
-        self.track, self.sensor = self._kind.track, self._kind.sensor
+        self.kind = _kind(recipe)  #: the class of its agents
+        self.track, self.sensor = self.kind.track, self.kind.sensor
         self._trained = functools.cache(lambda: _trained(recipe, path))
         robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
         self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
@@ -355,15 +355,15 @@ class Factory:
         """An agent for one world of `setting`. Raises Unsuited."""
         if setting is not None:
             self._check(setting)
-        if self._kind is Learned:
+        if self.kind is Learned:
             return Learned(self._layers, self._output, self._top)
-        return self._kind(self._layers, self._output, setting or Setting.default(self.track, self.sensor))
+        return self.kind(self._layers, self._output, setting or Setting.default(self.track, self.sensor))
 
     def _check(self, setting):
         """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy
         can't even try."""
         try:
-            _depth(setting) if getattr(self._kind, "pictures", False) else _lidar(setting)
+            _depth(setting) if getattr(self.kind, "pictures", False) else _lidar(setting)
         except Unsuited as error:
             raise Unsuited(f"Agent '{self._name}' {error}") from None
         if self.untrained:

@@ -8,10 +8,12 @@ that sees depth pictures.
 """
 
 import dataclasses
+import json
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
+import msgspec
 import numpy as np
 import torch
 
@@ -22,10 +24,12 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
 from bson.learning.algorithms import linear_layers
 from bson.learning.attention import PeopleAttention
+from bson.learning.checkpoint import Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.learning.draw import Draw, training_seed
 from bson.recurrent import CHANNELS, EYE, HEAD, MEMORY, PICTURE, SEEN, UNITS
 from bson.task import TaskConfig
 from macid.layout import NoFreeSpace
+from macid.learning.curves import check_arrays
 
 
 @dataclasses.dataclass(frozen=True)
@@ -257,28 +261,107 @@ def _warmed(network, both, warm, begins, piece):
     return state
 
 
-def learn(
-    teacher: Any,
-    pupil: type[Pupil],
-    task: TaskConfig,
-    draw: Draw | None,
-    steps: int,
-    config: DaggerConfig,
-    seed: int,
-    validate: Callable[[dict, int], object],
-    progress: Callable[[int], object] = lambda steps: None,
-    show: Callable[[int, float], object] = lambda update, loss: None,
-) -> None:
-    """All rounds; `validate` is called with the network's parts and the steps done after each."""
-    torch.manual_seed(seed)
-    rng, episodes, network = np.random.default_rng((0xDA66E5, seed)), Episodes(), Network(pupil.pictures)
-    each = max(1, steps // config.rounds)
-    for number in range(config.rounds):
-        driver = network.parts() if number else None
+class Noted(msgspec.Struct):
+    """A checkpoint's values beside its arrays."""
+
+    rounds: Annotated[int, msgspec.Meta(ge=0, le=10**6)]  #: done
+    generator: dict[str, Any]  #: the state of NumPy's generator
+    keeper: Keeper
+
+
+class Imitation:
+    """The training of a `pupil` by a `teacher`, an agent's factory, in `task` or settings of a `draw`, round by
+    round."""
+
+    def __init__(
+        self,
+        teacher: Any,
+        pupil: type[Pupil],
+        task: TaskConfig,
+        draw: Draw | None,
+        steps: int,
+        config: DaggerConfig,
+        seed: int,
+    ):
+        torch.manual_seed(seed)
+        self._teacher, self._pupil, self._task, self._draw, self._config = teacher, pupil, task, draw, config
+        self._each = max(1, steps // config.rounds)
+        self._rng, self.episodes = np.random.default_rng((0xDA66E5, seed)), Episodes()
+        self.network, self.rounds = Network(pupil.pictures), 0
+
+    @property
+    def steps(self) -> int:
+        """The control steps of the rounds done."""
+        return self.rounds * self._each
+
+    @property
+    def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The present policy's, as its agent takes them."""
+        return [layer for part in self.network.parts().values() for layer in part]
+
+    def round(
+        self,
+        progress: Callable[[int], object] = lambda steps: None,
+        show: Callable[[int, float], object] = lambda update, loss: None,
+    ) -> None:
+        """One more round: episodes, and a fit to all so far."""
+        driver = self.network.parts() if self.rounds else None
 
         def settings():
-            return draw.setting(rng, task) if draw else task
+            return self._draw.setting(self._rng, self._task) if self._draw else self._task
 
-        gather(teacher, pupil, driver, settings, each, rng, config, episodes, progress=progress)
-        fit(network, episodes, config, rng, show)
-        validate(network.parts(), (number + 1) * each)
+        arguments = self._each, self._rng, self._config, self.episodes
+        gather(self._teacher, self._pupil, driver, settings, *arguments, progress=progress)
+        fit(self.network, self.episodes, self._config, self._rng, show)
+        self.rounds += 1
+
+    def collect(self, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """({name: array}, the values of a Noted) after a round, with a keeper's state."""
+        found, noted = collect_keeper(keeper)
+        found |= {f"network/{name}": tensor.numpy() for name, tensor in self.network.state_dict().items()}
+        found |= {f"episodes/{name}": np.concatenate(getattr(self.episodes, name)) for name in _ROWS}
+        found["episodes/lengths"] = np.array([len(one) for one in self.episodes.vector])
+        found["random/torch"] = torch.get_rng_state().numpy()
+        state = json.loads(json.dumps(self._rng.bit_generator.state, default=str))
+        state["state"] = {name: str(value) for name, value in state["state"].items()}  # of more than 64 bits
+        return found, {"rounds": self.rounds, "generator": state, "keeper": noted}
+
+    def restore(self, found: dict[str, np.ndarray], noted: dict[str, Any]) -> dict[str, Any]:
+        """Goes on from a checkpoint; returns the keeper's state. Raises ValueError for one of another training."""
+        lengths = found.get("episodes/lengths", np.zeros(0, int))
+        if lengths.ndim != 1 or lengths.dtype != int or (lengths < 1).any() or lengths.sum() > 10**9:
+            raise ValueError("the lengths of its episodes are none")
+        rows = int(lengths.sum())
+        sizes = (recurrent.MOTION, *PICTURE) if self._pupil.pictures else (guided.SIZE, 0)
+        pictures = np.zeros((rows, *sizes[1:]) if self._pupil.pictures else 0, np.float16)
+        wanted = {
+            "episodes/vector": np.zeros((rows, sizes[0]), np.float32),
+            "episodes/picture": pictures,
+            "episodes/wanted": np.zeros((rows, 2), np.float32),
+            "episodes/lengths": lengths,
+            "random/torch": torch.get_rng_state().numpy(),
+            **{f"network/{name}": tensor.numpy() for name, tensor in self.network.state_dict().items()},
+            **wanted_keeper(noted["keeper"], self.layers),
+        }
+        check_arrays(found, wanted)
+        keeper = restore_keeper(found, noted["keeper"], len(self.layers))
+        state = noted["generator"]
+        try:
+            torch.set_rng_state(torch.from_numpy(found["random/torch"]))
+            self._rng.bit_generator.state = state | {
+                "state": {name: int(value) for name, value in state["state"].items()}
+            }
+        except (RuntimeError, ValueError, TypeError, KeyError, AttributeError) as error:
+            raise ValueError(f"its random numbers are none: {str(error).splitlines()[0]}") from None
+        self.network.load_state_dict(
+            {name: torch.from_numpy(found[f"network/{name}"].copy()) for name in self.network.state_dict()}
+        )
+        ends = np.cumsum(lengths)[:-1]
+        for name in _ROWS:
+            parts = np.split(found[f"episodes/{name}"], ends) if len(found[f"episodes/{name}"]) else []
+            setattr(self.episodes, name, parts or [np.zeros(0, np.float16)] * len(lengths))
+        self.rounds = noted["rounds"]
+        return keeper
+
+
+_ROWS = ("vector", "picture", "wanted")

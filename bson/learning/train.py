@@ -23,7 +23,7 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.dagger import DaggerConfig, learn
+from bson.learning.dagger import DaggerConfig, Imitation, Noted
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw, validation_seeds
 from bson.learning.guided_env import GuidedVecEnv
@@ -132,6 +132,8 @@ class TrainConfig:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", RECURRENT if self.inputs in kinds else found)
+        if (self.inputs in kinds) != isinstance(self.hyperparameters, DaggerConfig):
+            raise UsageError(f"--inputs {self.inputs} learns with no {type(self.hyperparameters).__name__}.")
 
     @property
     def setting(self) -> TaskConfig:
@@ -444,6 +446,8 @@ def train_apart(
     `train`, but Ctrl-C leaves the last checkpoints that arrived, at most some minutes old."""
     carried, done = Carried(), {}
     for config in configs:
+        if config.draw is not None and config.draw.endswith(".toml"):
+            raise UsageError(f"A draw's file is read in this process: leave --executor out, or --draw {config.draw}.")
         carried += carried_task(config.setting) + carried_code(config.algo)
         expert = getattr(config.hyperparameters, "expert", "")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
@@ -494,7 +498,16 @@ def _teacher(config):
 
 
 def _train_pupil(config, keeper, show):
-    done = 0
+    """Rounds of imitation, with a checkpoint after each."""
+    draw, kind = load_draw(config.draw) if config.draw else None, INPUTS[config.inputs]
+    settings = config.setting, draw, config.steps, config.hyperparameters, config.seed
+    training = Imitation(_teacher(config), kind, *settings)
+    if saved := read_checkpoint(keeper.folder, Noted):
+        try:
+            keeper.restore(training.restore(*saved))
+        except ValueError as error:
+            raise damaged(keeper.folder / CHECKPOINT, error) from None
+    done = training.steps
 
     def progress(more):
         nonlocal done
@@ -506,14 +519,11 @@ def _train_pupil(config, keeper, show):
         keeper.log({"steps": min(done, config.steps), "seconds": round(keeper.seconds, 1), "loss": loss})
         show(min(done, config.steps), {"update": update, "loss": loss})
 
-    def validate(parts, steps):
-        layers = [layer for part in parts.values() for layer in part]
-        show(steps, keeper.validate(layers, "clip", steps), validation=True)
-        keeper.write(steps)
-
-    draw = load_draw(config.draw) if config.draw else None
-    settings = config.hyperparameters, config.seed, validate
-    learn(_teacher(config), INPUTS[config.inputs], config.setting, draw, config.steps, *settings, progress, told)
+    while training.rounds < config.hyperparameters.rounds:
+        training.round(progress, told)
+        show(training.steps, keeper.validate(training.layers, "clip", training.steps), validation=True)
+        write_checkpoint(keeper.folder, *training.collect(keeper.state))
+        keeper.write(training.steps)
     keeper.write(config.steps)
     return keeper.folder
 
