@@ -135,17 +135,17 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
     parameters, wanted = model.get_parameters(), {}
     for name, state in parameters.items():
         if "param_groups" not in state:
-            wanted |= {f"{name}/{key}": tensor.numpy() for key, tensor in state.items()}
+            wanted |= {f"{name}/{key}": tensor.cpu().numpy() for key, tensor in state.items()}
         elif name in noted["stepped"]:
             for index, parameter in enumerate(_owned(model, name)):
-                whole = parameter.detach().numpy()
+                whole = parameter.detach().cpu().numpy()
                 likes = (np.zeros((), np.float32), whole, whole)
                 wanted |= {f"{name}/{index}/{key}": like for key, like in zip(_MOMENTS, likes, strict=True)}
     optimizers = {name: state["param_groups"] for name, state in parameters.items() if "param_groups" in state}
     rated, grouped = ({name: len(each) for name, each in many.items()} for many in (noted["rates"], optimizers))
     if rated != grouped:
         raise ValueError("it has other optimisers")
-    wanted |= {name: tensor.detach().numpy() for name, tensor in _variables(model).items()}
+    wanted |= {name: tensor.detach().cpu().numpy() for name, tensor in _variables(model).items()}
     replay, filled = getattr(model, "replay_buffer", None), noted["replay"]
     if (replay is None) != (filled is None):
         raise ValueError("it is of another algorithm: one has a replay buffer")
@@ -185,7 +185,7 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
         }
     model.set_parameters(parameters, exact_match=True)
     for name, variable in _variables(model).items():
-        variable.data = tensor(name)
+        variable.data = tensor(name).to(variable.device)
     if replay is not None:
         for name in _REPLAY:
             getattr(replay, name)[:rows] = found[f"replay/{name}"]
