@@ -21,6 +21,7 @@ import reproduce_tables as tables
 
 from bson.evaluation.metrics import summarise
 from bson.evaluation.results import read_results
+from bson.recurrent import UNITS
 from macid import command
 from macid.command import Parser, check_words
 from macid.evaluate import level_name
@@ -251,10 +252,17 @@ def agent_card(name):
     recipe = json.loads((AGENTS / f"{name}.json").read_text())
     scores, tuned = recipe["scores"], recipe["hyperparameters"]
     people = recipe["task"].get("pedestrian_model", "macid")
-    preset = " --preset paper" if name.endswith("-paper") else ""
+    flags = [f"--algo {recipe['algo']}", *(["--preset paper"] if name.endswith("-paper") else [])]
+    flags += [f"--{key} {recipe[key]}" for key in ("inputs", "draw") if key in recipe]
+    where, network = f"among 24 people of `{people}`", ", ".join(map(str, tuned.get("hidden", ())))
+    if "draw" in recipe:
+        where = f"in settings of the draw `{recipe['draw']}`"
+    if "rounds" in tuned:  # imitation
+        flags.append(f"--teacher {tuned['expert']}")
+        network = f"a recurrent unit of {UNITS}; {tuned['rounds']} rounds of imitation"
     lines = [
-        f"Made by `bson train --algo {recipe['algo']}{preset} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
-        f"control steps of 0.1 s among 24 people of `{people}`; networks of ({', '.join(map(str, tuned['hidden']))}). "
+        f"Made by `bson train {' '.join(flags)} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
+        f"control steps of 0.1 s {where}; {f'networks of ({network})' if 'hidden' in tuned else network}. "
         f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
         f"episodes (SNS {recipe['validation']['SNS']:.1f}).",
         "",
@@ -266,6 +274,9 @@ def agent_card(name):
         digits = 1 if metric in ("SNS", "Coll") else 3
         cells.append("{mean:.{d}f} [{low:.{d}f}, {high:.{d}f}]".format(**scores[metric], d=digits))
     lines.append(tables.text_row(f"`{name}`", cells))
+    for other in recipe.get("other scores", []):
+        (mean, low, high), coll = other["SNS"].values(), other["Coll"]["mean"]
+        lines += ["", f"On `{other['suite']}`: SNS {mean:.1f} [{low:.1f}, {high:.1f}], {coll:.1f} collisions."]
     seeds = ", ".join(f"{seed['SNS']:.1f} (seed {seed['seed']})" for seed in recipe["seeds"])
     lines += ["", f"SNS of all seeds on that suite: {seeds}."]
     return lines

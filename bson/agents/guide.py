@@ -94,6 +94,20 @@ def visible(place: np.ndarray, lidar: np.ndarray) -> np.ndarray:
     return (np.abs(angle) < _FIELD) & (lidar[beam] > distance - _SEEN)
 
 
+def grown_by(occupied: np.ndarray, radius: float, resolution: float) -> np.ndarray:
+    """Cells (rows, columns) whose centre is within `radius` [m] of an occupied cell of the side `resolution` [m]: those
+    of Grid.inflated but for the map's edge, sooner where few cells are occupied."""
+    reach = int(radius / resolution + 0.5)
+    offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    gaps = np.maximum(np.abs(offsets) - 0.5, 0.0) * resolution
+    offsets = offsets[np.hypot(*gaps.T) <= radius]
+    cells = (np.argwhere(occupied)[:, None] + offsets).reshape(-1, 2)
+    cells = cells[((cells >= 0) & (cells < occupied.shape)).all(axis=-1)]
+    grown = np.zeros_like(occupied)
+    grown[tuple(cells.T)] = True
+    return grown
+
+
 class MapSight:
     """Sees by the map and people's places of the Global track. Call `reset` as an episode begins, then `see`."""
 
@@ -155,7 +169,10 @@ class ScanSight(Tracking):
         old = self._ways is None or step - self._planned >= self._replan
         if self._ways is not None and not old and not self._ways.blocked(grid.occupied, self._position):
             return
-        self._ways, self._planned = Ways(grid.inflated(self._setting.robot.radius + MARGIN), np.zeros(2)), step
+        grown = Grid(
+            grown_by(grid.occupied, self._setting.robot.radius + MARGIN, grid.resolution), grid.resolution, grid.origin
+        )
+        self._ways, self._planned = Ways(grown, np.zeros(2)), step
 
     def _look(self, scan):
         if self._map is None:

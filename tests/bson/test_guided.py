@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bson import guided, recurrent
 from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited
-from bson.agents.guide import MapSight, ScanSight
+from bson.agents.guide import MapSight, ScanSight, grown_by
 from bson.agents.ways import Ways
 from bson.episodes.session import Session
 from bson.episodes.tracks import make_track
@@ -162,6 +162,15 @@ def test_who_follows_the_aims_arrives_by_about_the_way_s_length(maze):
         place, gone = place + move, gone + np.hypot(*move)
         assert gone < length + 1.0
     assert gone > 0.9 * length
+
+
+def test_walls_grow_as_those_of_a_grid_do():
+    rng = np.random.default_rng(0)
+    for radius in (0.3, 0.48, 0.7):
+        occupied = np.pad(rng.random((40, 40)) < 0.02, 8)
+        wanted = Grid(occupied, 0.25, [0.0, 0.0]).inflated(radius).occupied
+        inside = np.s_[4:-4, 4:-4]
+        assert np.array_equal(grown_by(occupied, radius, 0.25)[inside], wanted[inside])
 
 
 def test_without_a_way_the_goal_is_the_aim():
