@@ -149,6 +149,7 @@ class ScanSight(Tracking):
         self.forget()
         self._map: ScanMap | None = None
         self._ways: Ways | None = None
+        self._part: tuple[slice, ...] = ()  # of the map, over which the ways lead
         self._memory, self._planned = Memory(self._setting), 0
 
     def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:  # type: ignore[override]
@@ -165,14 +166,20 @@ class ScanSight(Tracking):
     def _plan(self, step):
         """Looks for a way where there is none, or walls were found on it, or the last look was long ago."""
         assert self._map is not None
-        grid = self._map.grid
+        occupied = self._map.occupied
         old = self._ways is None or step - self._planned >= self._replan
-        if self._ways is not None and not old and not self._ways.blocked(grid.occupied, self._position):
+        if self._ways is not None and not old and not self._ways.blocked(occupied[self._part], self._position):
             return
-        grown = Grid(
-            grown_by(grid.occupied, self._setting.robot.radius + MARGIN, grid.resolution), grid.resolution, grid.origin
-        )
-        self._ways, self._planned = Ways(grown, np.zeros(2)), step
+        # No shortest way leaves the rectangle around its ends and all walls by more than it keeps off them.
+        radius, size = self._setting.robot.radius + MARGIN, self._map.resolution
+        ends = np.floor((np.stack([self._position, np.zeros(2)]) - self._map.origin) / size).astype(int)[:, ::-1]
+        inside = np.concatenate([np.argwhere(occupied), ends.clip(0, np.array(occupied.shape) - 1)])
+        border = 2 + int(np.ceil(radius / size))
+        low = np.maximum(inside.min(axis=0) - border, 0)
+        self._part = tuple(map(slice, low, inside.max(axis=0) + border + 1))
+        grown = grown_by(occupied[self._part], radius, size)
+        self._ways = Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))
+        self._planned = step
 
     def _look(self, scan):
         if self._map is None:
