@@ -47,7 +47,7 @@ class Ways:
         rows = cells[..., 1].clip(0, self._occupied.shape[0] - 1)
         columns = cells[..., 0].clip(0, self._occupied.shape[1] - 1)
         beyond = shares[:, None] * np.hypot(along[:, 0], along[:, 1]) > _OWN
-        return ~(self._occupied[rows, columns] & beyond).any(axis=0)
+        return ~np.any(self._occupied[rows, columns] & beyond, axis=0)
 
     def ahead(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """From `place` (2,) [m]: the farthest point (2,) of the way that is in sight, a point (2,) of the way some
@@ -98,7 +98,7 @@ class _Solved:
         number, graph = grid.moves
         if grid.occupied.any():
             nearest = ndimage.distance_transform_edt(grid.occupied, return_distances=False, return_indices=True)
-            number = number[tuple(nearest)]
+            number = number[tuple(np.asarray(nearest))]
         self._node = number  # (rows, columns): the node that each cell stands for
         self.rows, self.columns = np.nonzero(~grid.occupied)
         self.centres = grid.centres(np.stack([self.rows, self.columns], axis=-1))

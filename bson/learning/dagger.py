@@ -61,7 +61,7 @@ class Network(torch.nn.Module):
     def __init__(self, picture: bool):
         super().__init__()
         self.picture = picture
-        self.eye = torch.nn.Module()
+        self.eye: Any = torch.nn.Module()
         if picture:
             first, second = CHANNELS
             self.eye.first = torch.nn.Conv2d(1, first, 3, 2, 1)

@@ -107,7 +107,7 @@ def read_draw(file: str | pathlib.Path) -> Draw:
     key = "validation"
     try:
         validation = tuple(TaskConfig().replace(**fields) for fields in checked.validation)
-        draw = Draw(checked.name, kinds, validation, checked.sizes and tuple(checked.sizes))
+        draw = Draw(checked.name, kinds, validation, tuple(checked.sizes) if checked.sizes else None)
         rng = np.random.default_rng(0)
         for number in range(len(kinds)):
             key = f"kinds[{number}].config"

@@ -69,7 +69,8 @@ class _Group:
 
     def __init__(self, number, size, rng, draw, base, track: LocalTrack, nthread):
         self.size, self._rng, self._draw, self._base, self._track = size, rng, draw, base, track
-        self._nthread, self._session = nthread, None
+        self._nthread = nthread
+        self._session: Any = None  # made by the first round
         self._all = np.arange(size)
         self._steps = number * ROUND // 4  # groups don't all change at once
         self._guides: list[Any] = [None] * size
@@ -96,9 +97,8 @@ class _Group:
         world, config = session.world, session.config
         clearance = config.robot.radius + MARGIN
         for index in ids:
-            grid = Grid(
-                world.occupancy(index), config.map_size / len(world.occupancy(index)), [-config.map_size / 2] * 2
-            )
+            occupied = world.occupancy(index)
+            grid = Grid(occupied, config.map_size / len(occupied), np.full(2, -config.map_size / 2))
             self._guides[index] = Guide(config, grid.inflated(clearance), world.goal[index])
         self._blind[ids] = self._rng.random(len(ids)) < _HALF_BLIND
         self._returns[ids] = 0.0
