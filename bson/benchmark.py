@@ -1,5 +1,5 @@
-"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `render`, `record`, `replay`,
-`ros`, `deploy`, `dataset` and `train` as calls.
+"""The benchmark for Python: the commands `bson evaluate`, `compare`, `leaderboard`, `verify`, `render`, `record`,
+`replay`, `ros`, `deploy`, `dataset` and `train` as calls.
 
     from bson import benchmark
 
@@ -22,6 +22,7 @@ from typing import Any
 
 from bson.episodes.record import Episode
 from bson.evaluation.results import Results
+from bson.evaluation.verify import verify as verify
 from macid.executors import Executor, make_executor
 from macid.files import (
     UsageError,
@@ -40,6 +41,7 @@ def evaluate(
     agent: Any,
     suite: str = "paper",
     *,
+    passphrase: str | None = None,
     out: str | pathlib.Path | None = None,
     episodes: int | None = None,
     seed: int = 0,
@@ -66,18 +68,19 @@ def evaluate(
     """Scores an agent on a suite, as `bson evaluate` does; returns the Results.
 
     agent: a name, "module:attribute", "file.py[:attribute]" or "policy.npz", or the agent itself, a function or a class
-    (see bson.agents). suite: its name. out: folder for results.json, report.html and videos/; None: nothing is written.
-    episodes: only the first so many of each cell. seed: 0 for the suite's own seeds; another number for another set of
-    seeds of the same kind. track, sensor: as for bson.episodes.tracks.make_track (default: what the agent wants).
-    overrides: fields of TaskConfig that are changed. paired: also plays each episode without the robot. metrics: the
-    user's own metrics, each `module:function` or `file.py:function` (see bson.evaluation.metrics). videos: the number
-    of films. record: also writes the worst and the best episode to `out`/bags (see `record`). resume: goes on with the
-    evaluation that was cut short in `out`. executor, ray_address, workers: see macid.executors.make_executor. engine:
-    "native", or "warp", which plays all episodes of a cell at once on a device, for agents that are learned policies.
-    stamped, real_time, timeout: of the agent "ros", which is whatever drives on the other side of ROS 2: whether it
-    sends TwistStamped, not Twist; whether the world takes a control step each period and does not wait for a command;
-    how long a command may take in lockstep [s]. command: the command that `results.json` names as its origin. told:
-    called with the Results once they are written, before anything is filmed. quiet: no progress on stderr.
+    (see bson.agents). suite: its name. passphrase: of the suite "held-out", which needs one. out: folder for
+    results.json, report.html and videos/; None: nothing is written. episodes: only the first so many of each cell.
+    seed: 0 for the suite's own seeds; another number for another set of seeds of the same kind. track, sensor: as for
+    bson.episodes.tracks.make_track (default: what the agent wants). overrides: fields of TaskConfig that are changed.
+    paired: also plays each episode without the robot. metrics: the user's own metrics, each `module:function` or
+    `file.py:function` (see bson.evaluation.metrics). videos: the number of films. record: also writes the worst and the
+    best episode to `out`/bags (see `record`). resume: goes on with the evaluation that was cut short in `out`.
+    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
+    episodes of a cell at once on a device, for agents that are learned policies. stamped, real_time, timeout: of the
+    agent "ros", which is whatever drives on the other side of ROS 2: whether it sends TwistStamped, not Twist; whether
+    the world takes a control step each period and does not wait for a command; how long a command may take in lockstep
+    [s]. command: the command that `results.json` names as its origin. told: called with the Results once they are
+    written, before anything is filmed. quiet: no progress on stderr.
 
     Results are the same bit for bit with any executor and any number of workers; results of the engine "warp" agree
     with them to a tolerance. Where the request can't be met, raises UsageError or another ValueError, of one line,
@@ -97,8 +100,8 @@ def evaluate(
     own = own_metrics(metrics)
     if resume and out is None:
         raise UsageError("resume goes on with what is in the folder `out`: give it.")
-    chosen = load_suite(suite)
-    seeds = chosen.drawn(episodes, seed)
+    chosen = load_suite(suite, passphrase)
+    seeds = chosen.of_cells(episodes, seed)
     cells = [dataclasses.replace(cell, config=cell.config.replace(**changes)) for cell in chosen.cells]
     if agent == ROS and (executor != "local" or engine != "native"):
         raise UsageError("The agent 'ros' drives one world in this process: leave --executor and --engine out.")
@@ -106,8 +109,8 @@ def evaluate(
     wanted = track or make_agent.track, sensor or make_agent.sensor
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells], seen)
-    for cell in cells:
-        _check_spawn(cell.config, seeds)
+    for cell, each in zip(cells, seeds, strict=True):
+        _check_spawn(cell.config, each)
     follows_from = basis(name, wanted, cells, paired)
     if engine != "native":
         check_engine(engine, agent, wanted, executor, paired)
@@ -124,7 +127,8 @@ def evaluate(
             held.enter_context(lock_folder(folder))
             unfinished = Unfinished(folder, follows_from, resume)
         found = [
-            {one: episode for one in seeds if unfinished and (episode := unfinished.load(cell, one))} for cell in cells
+            {one: episode for one in each if unfinished and (episode := unfinished.load(cell, one))}
+            for cell, each in zip(cells, seeds, strict=True)
         ]
         if agent == ROS:
             make_agent = held.enter_context(_on_the_wire(stamped, real_time, timeout))
@@ -652,16 +656,17 @@ def _loaded(results):
     return results if isinstance(results, Results) else Results.load(results)
 
 
-def compare(results: Sequence[Results | str | pathlib.Path], out: str | pathlib.Path | None = None) -> dict[str, Any]:
+def compare(results: Sequence[Any], out: str | pathlib.Path | None = None) -> dict[str, Any]:
     """Results beside each other, with paired differences from the first, as `bson compare` does: the content of
     compare.json.
 
-    results: Results, or folders that an evaluation wrote, or their results.json. out: folder for compare.json and
-    compare.html; None: nothing is written. Raises ValueError where they can't be compared.
+    results: Results, or folders that an evaluation wrote, or their results.json, or bson.reporting.compare.Groups of
+    Results: the trainings of one agent, with intervals over these, too (see bson.evaluation.statistics). out: folder
+    for compare.json and compare.html; None: nothing is written. Raises ValueError where they can't be compared.
     """
-    from bson.reporting.compare import compare, make_page
+    from bson.reporting.compare import Group, compare, make_page
 
-    content = compare([_loaded(each) for each in results])
+    content = compare([each if isinstance(each, Group) else _loaded(each) for each in results])
     if out is not None:
         page, folder = make_page(content), check_folder(out)
         for file in ("compare.json", "compare.html"):
@@ -706,15 +711,29 @@ def heatmap(results: Results | str | pathlib.Path, metric: str = "SNS", out: str
     return page
 
 
-def leaderboard(results: Sequence[Results | str | pathlib.Path], readme: str | pathlib.Path | None = None) -> str:
+def leaderboard(
+    results: Sequence[Results | str | pathlib.Path],
+    readme: str | pathlib.Path | None = None,
+    *,
+    out: str | pathlib.Path | None = None,
+    everything: bool = False,
+    told: Callable[[str], object] = lambda line: None,
+) -> str:
     """Results as Markdown tables, sorted by SNS, as `bson leaderboard` does.
 
-    results: as for `compare`. readme: a file that gets the tables too, between its marks. Raises ValueError where
+    results: Results that were read from files, or these folders or files. readme: a file that gets the tables too,
+    between its marks. out: folder for board.json and board.html, of the results that `verify` found equal; everything:
+    also of the others, marked. told: called with a line for each that is left out or marked. Raises ValueError where
     results of one suite have different episodes.
     """
+    from bson.reporting.board import publish
     from bson.reporting.leaderboard import fill_readme, leaderboard
 
-    text = leaderboard([_loaded(each) for each in results])
+    found = [_loaded(each) for each in results]
+    text = leaderboard(found)
+    if out is not None:
+        for line in publish(found, out, everything):
+            told(line)
     if readme is not None:
         fill_readme(readme, text)
     return text

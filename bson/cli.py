@@ -1,13 +1,12 @@
 """The `bson` command."""
 
-import ast
-import dataclasses
 import pathlib
 import shlex
 import sys
 from collections.abc import Sequence
 from typing import Any
 
+from bson.commands import board
 from macid import start
 from macid.command import (
     MOST_PEOPLE,
@@ -35,51 +34,11 @@ from macid.files import (
 _MOST_FILMS = 10_000
 
 
-def _overrides(pairs):
-    """`KEY=VALUE` words as a dict of TaskConfig's fields; values are Python literals or plain text. Raises
-    UsageError."""
-    from bson.task import TaskConfig
-    from macid.documents import check_values, shown
+def _overrides(args):
+    """What the flag --set changes of the task."""
+    from bson.evaluation.overrides import read_overrides
 
-    fields = [field.name for field in dataclasses.fields(TaskConfig)]
-    changes = {}
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals:
-            raise UsageError(f"--set takes KEY=VALUE, not {shown(pair)}.")
-        if key not in fields:
-            raise UsageError(f"Unknown option {shown(key)}. Choose among {', '.join(fields)}.")
-        changes[key] = _literal(key, text)
-
-    def tell(key, problem):
-        raise UsageError(f"--set {key}: {problem}.")
-
-    check_values(changes, tell)
-    return changes
-
-
-def _literal(key, text):
-    """`text` as a Python literal, if it is one that JSON can hold; otherwise the text itself. Raises UsageError."""
-    from macid.documents import shown
-
-    try:
-        value = ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
-    except (RecursionError, MemoryError):
-        raise UsageError(f"--set {key}: the value is nested too deeply: {shown(text)}.") from None
-    except TypeError as error:  # such as a list for a dict's key
-        raise UsageError(f"--set {key}: {shown(text)} is no value ({error}).") from None
-    waiting = [value]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, dict):
-            waiting += one.values()
-        elif isinstance(one, list | tuple):
-            waiting += one
-        elif not isinstance(one, None | bool | int | float | str):
-            raise UsageError(f"--set {key} takes numbers, texts, lists and dicts, not {shown(one)}.")
-    return value
+    return read_overrides(args.set)
 
 
 _PLACE = ("--resume",)  # flags that don't change results: without a value here, with one below
@@ -103,12 +62,13 @@ def _evaluate(args):
     found = benchmark.evaluate(
         args.agent,
         args.suite,
+        passphrase=board.read_passphrase(args),
         out=args.out,
         episodes=args.episodes,
         seed=args.seed,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         untrained=args.untrained_setting,
         paired=args.paired,
         metrics=args.metric,
@@ -129,25 +89,6 @@ def _evaluate(args):
     return 0
 
 
-def _compare(args):
-    from bson import benchmark
-    from bson.reporting.compare import format_comparison
-
-    print(format_comparison(benchmark.compare(args.results, args.out)))
-    out = pathlib.Path(args.out)
-    print(f"Written: {out / 'compare.json'}, {out / 'compare.html'}")
-    return 0
-
-
-def _leaderboard(args):
-    from bson import benchmark
-
-    print(benchmark.leaderboard(args.results, args.readme))
-    if args.readme:
-        print(f"Written: {args.readme}", file=sys.stderr)
-    return 0
-
-
 def _render(args):
     from bson import benchmark
 
@@ -158,7 +99,7 @@ def _render(args):
         step=args.step,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         untrained=args.untrained_setting,
     )
     print(f"Written: {path}")
@@ -176,7 +117,7 @@ def _live(args):
         seed=args.seed,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         untrained=args.untrained_setting,
         host=args.host,
         port=args.port,
@@ -196,7 +137,7 @@ def _ros(args):
         episodes=args.episodes,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         lockstep=args.lockstep,
         stamped=not args.twist,
         timeout=args.timeout,
@@ -231,7 +172,7 @@ def _record(args):
         episodes=args.episodes,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         untrained=args.untrained_setting,
         stamped=not args.twist,
         real_time=args.real_time,
@@ -268,7 +209,7 @@ def _dataset(args):
         seed=args.seed,
         track=args.track,
         sensor=args.sensor,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         untrained=args.untrained_setting,
         command="bson " + shlex.join(args.argv),
     )
@@ -284,7 +225,7 @@ def _export(args):
     config = _cell(args.suite, args.cell) if args.suite or args.cell else TaskConfig()
     track = make_track(args.track, args.sensor)
     start.cleaning_up()
-    export(config.replace(**_overrides(args.set)), track, args.seed, args.out, "bson " + shlex.join(args.argv))
+    export(config.replace(**_overrides(args)), track, args.seed, args.out, "bson " + shlex.join(args.argv))
     print(f"Written: {args.out}. How to read it: {pathlib.Path(args.out) / 'README.md'}")
     return 0
 
@@ -318,7 +259,7 @@ def _train(args):
         steps=int(args.steps),
         worlds=args.worlds or 16,
         preset=args.preset,
-        overrides=_overrides(args.set),
+        overrides=_overrides(args),
         demonstrations=args.demonstrations,
         inputs=args.inputs,
         draw=args.draw,
@@ -351,7 +292,7 @@ def _train_warp(args):
     from bson.learning.device_ppo import DeviceTrainConfig, train
 
     worlds = {} if args.worlds is None else {"num_envs": args.worlds}
-    config = DeviceTrainConfig(args.seed, int(args.steps), _overrides(args.set), algo=args.algo, **worlds)
+    config = DeviceTrainConfig(args.seed, int(args.steps), _overrides(args), algo=args.algo, **worlds)
     start.cleaning_up()
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
@@ -433,7 +374,7 @@ def _doctor(args):
 
 def _list(args):
     from bson import ENVIRONMENTS
-    from bson.evaluation.suites import load_suite, suite_names
+    from bson.evaluation.suites import HELD_OUT, load_suite, suite_names
     from bson.registry import KINDS, kind
 
     print("environments  " + ", ".join(ENVIRONMENTS))
@@ -447,6 +388,7 @@ def _list(args):
     for suite in map(load_suite, suite_names()):
         count = f"{len(suite.cells)} cells x {len(suite.seeds)}" if len(suite.cells) > 1 else f"{len(suite.seeds)}"
         print(f"suite         {suite.name}: {suite.description} ({count} seeds)")
+    print(f"suite         {HELD_OUT}: cells of standard, seeds that follow from a passphrase (--passphrase-file)")
     return 0
 
 
@@ -501,6 +443,7 @@ def _add_evaluation(command, out, suite):
         help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for learned policies",
     )
     command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
+    board.add_passphrase(command)
     command.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
     command.number(
         "--seed", int, 0, 9 * 10**12, default=0, help="0: the suite's own seeds; else another set of its kind"
@@ -555,26 +498,7 @@ def parser() -> Parser:
     _add_setting(evaluate)
     _add_evaluation(evaluate, "results", "paper")
 
-    compare = commands.add_parser(
-        "compare", help="results beside each other, with paired differences from the first", **defaults
-    )
-    compare.add_argument(
-        "results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json"
-    )
-    compare.add_argument("--out", type=name, default="comparison", help="folder for compare.json and compare.html")
-    compare.set_defaults(run=_compare)
-
-    leaderboard = commands.add_parser("leaderboard", help="results as a Markdown table, sorted by SNS", **defaults)
-    leaderboard.add_argument(
-        "results", type=name, nargs="+", help="folders that bson evaluate wrote, or their results.json"
-    )
-    leaderboard.add_argument(
-        "--readme",
-        type=name,
-        default=None,
-        help="also put it into this file, between <!-- leaderboard --> and <!-- /leaderboard -->",
-    )
-    leaderboard.set_defaults(run=_leaderboard)
+    board.add_commands(commands, defaults)
 
     render = commands.add_parser("render", help="film one seed", **defaults)
     _add_setting(render)
@@ -758,7 +682,7 @@ def parser() -> Parser:
     return root
 
 
-_DRAW_NOTHING = (_compare, _leaderboard, _replay, _export, _doctor, _list)
+_DRAW_NOTHING = (*board.DRAW_NOTHING, _replay, _export, _doctor, _list)
 
 
 def main(argv: Sequence[str] | None = None) -> int | str | None:

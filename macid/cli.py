@@ -444,7 +444,7 @@ def parser() -> Parser:
     )
     measure.number("--max-speed", float, 0.1, TOP_SPEED, help="of people [m/s] (default: the policy's own, or 1.5)")
     measure.number("--period", float, **PERIOD, help="time between decisions [s] (default: the policy's own)")
-    measure.add_argument("--only", default=None, choices=["open", "flows"], help="the open scenes, or the flows, alone")
+    measure.add_argument("--only", default=None, choices=["open", "flows", "knob"], help="one part of it alone")
     measure.add_argument("--engine", type=_engine, default=None, help=_ENGINE)
     measure.add_argument("--out", type=name, default="macid-human", help="folder: measured.json, index.html, film.webm")
     measure.set_defaults(run=_human_measure)

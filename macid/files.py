@@ -301,10 +301,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
         raise UsageError(f"There are files in {named(folder)} already. Name a new folder, or an empty one.")
     target = pathlib.Path(os.path.realpath(folder))
     with new_folder(target.parent):
-        for entry in os.listdir(target.parent):  # of killed runs
-            match = _LEFTOVER.fullmatch(entry)
-            if match and match["stem"] == _stem(target.name):
-                _remove_unlocked(target.parent / entry)
+        remove_leftover_folders(target.parent, lambda path, name: name == _stem(target.name))
         temporary = target.parent / f".{_stem(target.name)}.{secrets.token_hex(4)}"
         os.mkdir(temporary)
         handle = os.open(temporary, os.O_RDONLY)
@@ -319,6 +316,16 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
             os.close(handle)
+
+
+def remove_leftover_folders(folder: str | os.PathLike[str], ours: Callable[[pathlib.Path, str], bool]) -> None:
+    """Removes what killed runs of `whole_folder` left half-filled in `folder`, where `ours(path, name)` says so of such
+    a temporary folder `path`, which was to become `name` (a long name's beginning). A run that still goes on has locked
+    its folder: it stays."""
+    for entry in os.listdir(folder):
+        match = _LEFTOVER.fullmatch(entry)
+        if match and ours(pathlib.Path(folder, entry), match["stem"]):
+            _remove_unlocked(pathlib.Path(folder, entry))
 
 
 def _remove_unlocked(folder):

@@ -39,6 +39,7 @@ BSON = (
     "reporting",
     "learning",
     "bench bench_warp benchmark doctor registry",
+    "commands",
     "cli",
 )
 # What is reached for only when it is called: the entry points of the commands, and the cluster of an executor.

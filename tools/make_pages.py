@@ -17,11 +17,12 @@ import sys
 import warnings
 
 import numpy as np
+import reproduce_human as human_tables
 import reproduce_tables as tables
 
 from bson.evaluation.metrics import summarise
 from bson.evaluation.results import read_results
-from bson.recurrent import UNITS
+from bson.reporting.cards import made_by
 from macid import command
 from macid.command import Parser, check_words
 from macid.evaluate import level_name
@@ -182,6 +183,86 @@ def speed_and_period():
     return lines
 
 
+FLOOR = ("stop", "random", "goal")  # agents that look at nothing
+ORACLES = ("oracle",)  # endings of the names of agents that know everything
+
+
+def mean_most(suite):
+    """The most SNS of a suite, of headroom.json, over its cells."""
+    return float(np.mean([cell["SNS"] for cell in suite["most"].values()]))
+
+
+def board():
+    """What leaderboard.md tells: {suite: {agent: {"SNS", "low", "high"}}}."""
+    found = {}
+    for part in re.findall(r"(?:^\|.*\n)+\nSuite `\S+`", (RESULTS / "leaderboard.md").read_text(), re.MULTILINE):
+        rows = re.findall(r"^\| \d+ \| `(\S+)`.*?\| (\S+) \[(\S+), (\S+)\]", part, re.MULTILINE)
+        suite = part.rpartition("`")[0].rpartition("`")[2]
+        found[suite] = {agent: dict(zip(("SNS", "low", "high"), map(float, sns), strict=True)) for agent, *sns in rows}
+    return found
+
+
+def _standings(suite, name):
+    """{agent: {"SNS", "low", "high"}, and "cells" where they are known} on a suite of headroom.json, best first."""
+    found = board().get(name, {}) | suite["agents"]
+    return dict(sorted(found.items(), key=lambda item: -item[1]["SNS"]))
+
+
+def headroom():
+    """Lines of the table of suites: the most that the metric has, the best oracle, the spread of the agents that see
+    something, the floor of those that look at nothing."""
+    columns = ["the metric's own most", "best oracle", "best other", "middle other", "worst other", *FLOOR]
+    lines = [tables.text_row("suite", columns), "|---" * (1 + len(columns)) + "|"]
+    for name, suite in shipped("headroom").items():
+        standings = _standings(suite, name)
+        oracles = [agent for agent in standings if agent.endswith(ORACLES)]
+        others = [agent for agent in standings if agent not in (*oracles, *FLOOR)]
+        cells = [f"{mean_most(suite):.1f}", _standing(standings, oracles[:1])]
+        cells += [_standing(standings, others[place : place + 1]) for place in (0, len(others) // 2)]
+        cells += [_standing(standings, others[-1:]), *(_standing(standings, [agent]) for agent in FLOOR)]
+        lines.append(tables.text_row(f"`{name}`", cells))
+    return lines
+
+
+def _standing(standings, agents):
+    """The first of `agents` with its SNS and interval, as text; "" where it has not played."""
+    for agent in agents:
+        if agent in standings:
+            row = standings[agent]
+            return f"`{agent}` {row['SNS']:.1f} [{row['low']:.1f}, {row['high']:.1f}]"
+    return ""
+
+
+def _told_apart(most, agents):
+    """The cells of a suite that tables show: where no agent's figures are known, cells of the same maps are one, called
+    by the grades that they share."""
+    if agents:
+        return most
+    groups = {}
+    for cell, figures in most.items():
+        groups.setdefault(tuple(figures.values()), []).append(cell)
+    found = {}
+    for figures, cells in groups.items():
+        grades = [cell.split(", ") for cell in cells]
+        shared = [grade for grade in grades[0] if all(grade in each for each in grades)]
+        called = f"{', '.join(shared)} ({len(cells)} cells)" if shared and len(cells) > 1 else " and ".join(cells)
+        found[called] = dict(zip(next(iter(most.values())), figures, strict=True))
+    return found
+
+
+def headroom_cells(name):
+    """Lines of the table of a suite's cells: the metric's own most, the ways that it follows from, and agents' SNS."""
+    suite = shipped("headroom")[name]
+    agents = [agent for agent, row in _standings(suite, name).items() if "cells" in row]
+    columns = ["most SNS", "PE", "straight [m]", "shortest [m]", *(f"`{agent}`" for agent in agents)]
+    lines = [tables.text_row("cell", columns), "|---" * (1 + len(columns)) + "|"]
+    for cell, most in _told_apart(suite["most"], agents).items():
+        cells = [f"{most['SNS']:.1f}", f"{most['PE']:.2f}", f"{most['straight']:.1f}", f"{most['shortest']:.1f}"]
+        values = [suite["agents"][agent]["cells"].get(cell) for agent in agents]
+        lines.append(tables.text_row(cell, cells + ["" if value is None else f"{value:.1f}" for value in values]))
+    return lines
+
+
 def gpu_crowds():
     """Lines of the table of crowds on a GPU."""
     cells = {}
@@ -213,6 +294,27 @@ def gpu_robots():
     return lines
 
 
+def human():
+    """Lines of the table of models beside real people."""
+    return human_tables.lines(shipped("human"))
+
+
+def human_card(family, members):
+    """Lines of the card of a family that learned in scenes: how it was made, and each seed's row of `human`."""
+    row, recipe = shipped("human")[family], load_policy(members[0]).recipe
+    low, high = METHODS[recipe["method"]].lcf
+    made = (
+        f"Made by `macid train --preset human --method {recipe['method']} --agent-steps "
+        f"{recipe['agent_steps_done'] / 1e6:g}e6` (each seed), in the scenes of `macid.learning.scenes`, a decision "
+        f"every {recipe['period']:g} s. LCF in training: drawn from ({low:g}, {high:g})."
+    )
+    titles = human_tables.COLUMNS
+    lines = [made, "", f"| policy | {' | '.join(titles)} |", "|---" * (1 + len(titles)) + "|"]
+    for seed, name in enumerate(members):
+        lines.append(f"| `{name}` | {' | '.join(human_tables.column(row, title, seed) for title in titles)} |")
+    return [*lines, human_tables.lines({family: row})[-1]]
+
+
 def _made(recipe):
     """How a training was made, in one line, with its command."""
     method, period = recipe["method"], recipe["period"]
@@ -236,6 +338,8 @@ def _made(recipe):
 
 def pedestrian_card(family, members):
     """Lines of a family's card: how it was made, and the scores of each seed and of all."""
+    if METHODS[load_policy(members[0]).recipe["method"]].in_scenes:
+        return human_card(family, members)
     policies = {name: load_policy(name) for name in members}
     lines = [_made(policies[members[0]].recipe), "", *tables.header("policy")]
     lines += [tables.line(f"`{name}`", *tables.over_seeds([rows_of(name)])) for name in members]
@@ -250,21 +354,9 @@ def pedestrian_card(family, members):
 def agent_card(name):
     """Lines of a robot's policy's card: how it was made, and its scores with intervals."""
     recipe = json.loads((AGENTS / f"{name}.json").read_text())
-    scores, tuned = recipe["scores"], recipe["hyperparameters"]
-    people = recipe["task"].get("pedestrian_model", "macid")
-    flags = [f"--algo {recipe['algo']}", *(["--preset paper"] if name.endswith("-paper") else [])]
-    flags += [f"--{key} {recipe[key]}" for key in ("inputs", "draw") if key in recipe]
-    where, network = f"among 24 people of `{people}`", ", ".join(map(str, tuned.get("hidden", ())))
-    if "draw" in recipe:
-        where = f"in settings of the draw `{recipe['draw']}`"
-    if "rounds" in tuned:  # imitation
-        flags.append(f"--teacher {tuned['expert']}")
-        network = f"a recurrent unit of {UNITS}; {tuned['rounds']} rounds of imitation"
+    scores = recipe["scores"]
     lines = [
-        f"Made by `bson train {' '.join(flags)} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
-        f"control steps of 0.1 s {where}; {f'networks of ({network})' if 'hidden' in tuned else network}. "
-        f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
-        f"episodes (SNS {recipe['validation']['SNS']:.1f}).",
+        made_by(name, recipe),
         "",
         tables.text_row(f"suite `{scores['suite']}`", SCORES),
         "|---" * (1 + len(SCORES)) + "|",
@@ -296,8 +388,16 @@ def results():
         "table1": [line for method in TURNED for line in ["", *table1(method)]][1:],
         "knob": [line for figure in tables.KNOB for line in ["", *knob(figure)]][1:],
         "speed-and-period": speed_and_period(),
+        "human": human(),
         "gpu-crowds": gpu_crowds(),
         "gpu-robots": gpu_robots(),
+        "headroom": headroom(),
+        "headroom-cells": [
+            line
+            for name, suite in shipped("headroom").items()
+            if len(suite["most"]) > 1
+            for line in ("", f"Suite `{name}`:", "", *headroom_cells(name))
+        ][1:],
     }
 
 
@@ -323,11 +423,11 @@ def _rounded(value):
     return None if value is None else round(value, DIGITS)
 
 
-def _lines(content, depth):
+def json_lines(content, depth):
     """JSON in which each item down to `depth` has a line of its own, so that a difference shows what changed."""
-    if depth == 0:
+    if depth == 0 or not isinstance(content, dict) or not content:
         return json.dumps(content)
-    inner = ",\n".join(f"{json.dumps(key)}: {_lines(value, depth - 1)}" for key, value in content.items())
+    inner = ",\n".join(f"{json.dumps(key)}: {json_lines(value, depth - 1)}" for key, value in content.items())
     return f"{{\n{inner}\n}}"
 
 
@@ -348,7 +448,7 @@ def take_rows(folder):
             figures = (*tables.COLUMNS, *tables.WALKING)
             rules.setdefault(name, {})[level] = {figure: _rounded(row[figure]) for figure in figures}
     for name, content in (("knob", knob_rows), ("rules", rules)):
-        write_bytes(RESULTS / f"{name}.json", (_lines(content, 2) + "\n").encode())
+        write_bytes(RESULTS / f"{name}.json", (json_lines(content, 2) + "\n").encode())
 
 
 def take_runs(sources):
@@ -367,7 +467,7 @@ def take_runs(sources):
     texts = []
     for _, run in sorted(runs.items()):
         head = json.dumps({key: value for key, value in run.items() if key != "episodes"})
-        texts.append(f'{head[:-1]}, "episodes": {_lines(run["episodes"], 1)}}}')
+        texts.append(f'{head[:-1]}, "episodes": {json_lines(run["episodes"], 1)}}}')
     write_bytes(RESULTS / "robots.json", ("[\n" + ",\n".join(texts) + "\n]\n").encode())
 
 

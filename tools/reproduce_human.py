@@ -2,10 +2,11 @@
 
     tools/reproduce_human.py --data DIR --out human
 
-Writes OUT/human.md (a row a model, as it is shipped and with bodies of 0.2 m) and OUT/matched.md (open scenes in which
-everybody walks at its real one's mean speed). Each measurement is kept in OUT/rows, so a stopped run goes on where it
-was. Without --data, flows alone. With --executor ray, models are measured side by side, on this machine's cores or on a
-cluster's; all else is as without.
+Writes OUT/human.json (what each seed of a model has of each measure, as the model is shipped and with bodies of 0.2 m;
+`matched`: open scenes in which everybody walks at its real one's mean speed; `knob`: what its LCF does) and
+OUT/human.md (the main measures' means, a row a model). Each measurement is kept in OUT/rows, so a stopped run goes on
+where it was. Without --data, flows and knob alone. With --executor ray, models are measured side by side, on this
+machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
@@ -15,17 +16,39 @@ import json
 import pathlib
 import sys
 
+import numpy as np
+
 from macid import command
 from macid.command import MOST_SEEDS, Parser, add_executor, check_words
 from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import output_folder, run_command, write_bytes, write_json
 from macid.human import data, figures
+from macid.human.knob import WHERE
 from macid.human.measure import Options, measure, troupe
-from macid.pedestrians import check_model, model_names
+from macid.pedestrians import check_model, is_learned, model_names
+from macid.policy import load_policy
+from macid.state import RADIUS
 
 NARROW = 0.2  # the other radius [m]
 SEEDS = 3
 MATCHED = ("E0.5", "E1", "E2", "soon", "within", "straightness", "ADE", "FDE")
+RANKS = ("touch_rank", "way_rank")
+#: {title of the table's column: [(part of a row, measure or rank, digits), ...]}.
+COLUMNS = {
+    "speed, SD": [("values", "speed", 2), ("values", "speed_sd", 2)],
+    "E(0.5), E(1), E(2)": [("values", key, 2) for key in ("E0.5", "E1", "E2")],
+    "TTC < 2 s [%]": [("values", "soon", 1)],
+    "SD within": [("values", "within", 2)],
+    "straightness": [("values", "straightness", 3)],
+    "smoothness": [("values", "smoothness", 2)],
+    "ADE, FDE, matched": [("matched", "ADE", 2), ("matched", "FDE", 2)],
+    "speed at 1.2, 2.0 /m2": [("values", "v1.2", 2), ("values", "v2", 2)],
+    "exits of 1.2, 2 m": [("values", "exit1.2", 2), ("values", "exit2", 2)],
+    "two ways, 18, 36: through [%]": [("values", "through18", 0), ("values", "through36", 0)],
+    "speed at 36": [("values", "two_speed36", 2)],
+    "LCF with touch: open, corridor": [("knob", f"touch_rank {where}", 2) for where in WHERE],
+    "LCF with giving way": [("knob", f"way_rank {where}", 2) for where in WHERE],
+}
 LEFT_OUT = ("standing", "paper", "hz")  # nobody walks; other hyperparameters and periods
 
 
@@ -39,8 +62,8 @@ def wanted(pedestrians, folder, seeds):
     found = {}
     for name in pedestrians:
         many = most_seeds(name, seeds)
-        for radius in (None, NARROW):
-            options = Options(radius=radius, seeds=many, only=None if folder else "flows")
+        for radius in (None, NARROW) if own_radius(name) != NARROW else (None,):
+            options = Options(radius=radius, seeds=many)
             found["human", name, radius] = options
             if folder:
                 found["matched", name, radius] = dataclasses.replace(options, matched=True, only="open")
@@ -48,6 +71,11 @@ def wanted(pedestrians, folder, seeds):
         key: {"pedestrian": key[1], "folder": folder, "options": options, "page": False}
         for key, options in found.items()
     }
+
+
+def own_radius(name):
+    """The radius [m] of people of the model `name`."""
+    return load_policy(name).recipe.get("radius", RADIUS) if is_learned(name) else RADIUS
 
 
 def most_seeds(name, seeds):
@@ -88,28 +116,47 @@ def measure_missing(executor, asked, rows, files, carried):
     return {key: json.loads(path.read_text()) for key, path in paths.items()}
 
 
-def cell(row, digits):
-    """A measure's mean with the half width of its interval."""
-    if row["model"] is None:
-        return "-"
-    if row["interval"] is None:
-        return f"{row['model']:.{digits}f}"
-    return f"{row['model']:.{digits}f} ± {(row['interval'][1] - row['interval'][0]) / 2:.{digits}f}"
-
-
-def lines(documents, table, keys):
-    """A Markdown table of the measures `keys`: people, then a row a model and radius."""
-    shown = [each for each in figures.MEASURES if each.key in keys]
-    names = " | ".join(each.key for each in shown)
-    rows = [f"| model | seeds | radius [m] | {names} |", "|---" * (3 + len(shown)) + "|"]
-    people = next(iter(documents.values()))["measures"]
-    told = ["-" if people[m.key]["people"] is None else f"{people[m.key]['people']:.{m.digits}f}" for m in shown]
-    rows.append(f"| people | | | {' | '.join(told)} |")
-    for (kind, name, _), document in documents.items():
-        if kind == table:
-            cells = [cell(document["measures"][each.key], each.digits) for each in shown]
-            rows.append(f"| {name} | {document['seeds']} | {document['radius']:g} | {' | '.join(cells)} |")
+def rows_of(documents):
+    """{what a table calls the model: {"radius", "policies", "values": {measure: [each seed's]}, "matched": the same
+    where everybody walks at its real one's mean speed, "knob": {"touch_rank open": [each seed's], ...}}}."""
+    rows = {}
+    for (table, name, radius), document in documents.items():
+        row = rows.setdefault(name if radius is None else f"{name}, {radius:g} m", {})
+        values = {key: each["seeds"] for key, each in document["measures"].items() if each["seeds"]}
+        if table == "matched":
+            row["matched"] = {key: values[key] for key in MATCHED if key in values}
+            continue
+        row |= {"radius": document["radius"], "policies": document["policies"], "values": values}
+        if "knob" in document:
+            row["knob"] = {f"{rank} {where}": document["knob"][rank][where] for rank in RANKS for where in WHERE}
     return rows
+
+
+def people_row():
+    """The shipped figures of people, as a row of `rows_of`."""
+    found = figures.shipped()["measures"]
+    values = {key: [row["people"]] for key, row in found.items()}
+    return {"radius": None, "values": values, "matched": {key: values[key] for key in MATCHED if key in values}}
+
+
+def column(row, title, seed=None):
+    """A cell of the compact table: means over seeds, or those of one `seed` (its place)."""
+    told = []
+    for where, key, digits in COLUMNS[title]:
+        found = row.get(where, {}).get(key, [])
+        own = [value for value in (found if seed is None else found[seed : seed + 1]) if value is not None]
+        told.append(f"{np.mean(own):.{digits}f}" if own else "-")
+    return ", ".join(told)
+
+
+def lines(rows):
+    """The compact Markdown table of `rows`, {what the table calls them: as of `rows_of`}, below a row of people."""
+    shown = [f"| model | {' | '.join(COLUMNS)} |", "|---" * (1 + len(COLUMNS)) + "|"]
+    for name, row in {"*people*": people_row(), **rows}.items():
+        many = len(row.get("policies", ()))
+        label = f"{name} ({many} seeds)" if many > 1 else name
+        shown.append(f"| {label} | {' | '.join(column(row, title) for title in COLUMNS)} |")
+    return shown
 
 
 def run(args):
@@ -123,12 +170,10 @@ def run(args):
     with make_executor(args.executor, args.ray_address, args.workers) as executor:
         rows = output_folder(out / "rows")
         documents = measure_missing(executor, asked, rows, digests, Carried() + carry_files(files))
-    keys = [each.key for each in figures.MEASURES]
-    write_bytes(out / "human.md", ("\n".join(lines(documents, "human", keys)) + "\n").encode())
-    print(f"Written: {out / 'human.md'}")
-    if args.data:
-        write_bytes(out / "matched.md", ("\n".join(lines(documents, "matched", MATCHED)) + "\n").encode())
-        print(f"Written: {out / 'matched.md'}")
+    rows = rows_of(documents)
+    write_json(out / "human.json", rows)
+    write_bytes(out / "human.md", ("\n".join(lines(rows)) + "\n").encode())
+    print(f"Written: {out / 'human.json'}, {out / 'human.md'}")
     return 0
 
 

@@ -186,14 +186,14 @@ def play_cells(
     called: str,
     cells: Sequence[Cell],
     track: tuple[Any, Any],
-    seeds: Sequence[int],
+    seeds: Sequence[Sequence[int]],
     found: list[dict[int, Episode]],
     paired: bool,
     watch: Callable[[str | None, bool, int, int], Any],
     keep: Callable[[Cell, Episode], None],
     engine: str = "native",
 ) -> list[list[Episode]]:
-    """The Episodes `seeds` of each of `cells`.
+    """The Episodes of each of `cells`, those of its `seeds`.
 
     make_agent: the factory of `agent`. found: for each cell {seed: Episode} of the episodes that are there; the others
     are added. keep: called with each Episode that ends. watch: called with the cell's name (None: all cells), whether
@@ -206,8 +206,8 @@ def play_cells(
     brought = not isinstance(track[1], str) and track[1] is getattr(make_agent, "sensor", None)
     seen = (track[0], None) if brought else track  # a worker takes the agent's sensors from the agent
 
-    def play_of(cell):
-        return Play(agent, cell.config, seen, tuple(seeds), called, untrained, engine)
+    def play_of(place):
+        return Play(agent, cells[place].config, seen, tuple(seeds[place]), called, untrained, engine)
 
     playing = play if whole else functools.partial(play, make_agent=make_agent)
     carried = Carried()
@@ -216,17 +216,17 @@ def play_cells(
         for config in {cell.config: None for cell in cells}:
             carried += carried_task(config)
     for places in [range(len(cells))] if whole else [[place] for place in range(len(cells))]:
-        name = None if whole else cells[places[0]].name
+        name, all_of_them = None if whole else cells[places[0]].name, sum(len(seeds[place]) for place in places)
 
         def missing(place):
-            return [seed for seed in seeds if seed not in found[place]]
+            return [seed for seed in seeds[place] if seed not in found[place]]
 
         def unpaired(place):
-            each = (found[place][seed] for seed in seeds)
+            each = (found[place][seed] for seed in seeds[place])
             return [one for one in each if not one.fault and one.people_alone is None]
 
-        def run(work, parts, without, done, places=places, name=name):
-            with watch(name, without, len(seeds) * len(places), done) as progress:
+        def run(work, parts, without, done, all_of_them=all_of_them, name=name):
+            with watch(name, without, all_of_them, done) as progress:
 
                 def receive(index, piece):
                     steps, episode = piece
@@ -240,11 +240,11 @@ def play_cells(
 
         total = sum(len(missing(place)) for place in places)
         parts = [
-            (place, _left_to_play(play_of(cells[place]), share, found[place]))
+            (place, _left_to_play(play_of(place), share, found[place]))
             for place in places
             for share in shares(missing(place), total, executor)
         ]
-        run(playing, parts, False, len(seeds) * len(places) - total)
+        run(playing, parts, False, all_of_them - total)
         if paired:
             total = sum(len(unpaired(place)) for place in places)
             parts = [
@@ -252,8 +252,8 @@ def play_cells(
                 for place in places
                 for share in shares([one.seed for one in unpaired(place)], total, executor)
             ]
-            run(pair_up, parts, True, len(seeds) * len(places) - total)
-    return [[each[seed] for seed in seeds] for each in found]
+            run(pair_up, parts, True, all_of_them - total)
+    return [[each[seed] for seed in own] for each, own in zip(found, seeds, strict=True)]
 
 
 def _left_to_play(whole, share, found):

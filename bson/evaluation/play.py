@@ -169,7 +169,7 @@ def results(
     had not failed: these are counted nowhere else. Raises ValueError where every episode is one of these.
     """
     faults = [
-        {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
+        fault_row(cell, episode)
         for cell, episodes in zip(cells, played, strict=True)
         for episode in episodes
         if episode.fault
@@ -202,18 +202,29 @@ def results(
             for cell, episodes, summary in zip(cells, scored, summaries, strict=True)
         ],
         "episodes": [
-            {
-                "seed": episode.seed,
-                "cell": cell.name,
-                **{name: value if math.isfinite(value) else None for name, value in row.items()},
-                **_each_person(episode),
-            }
+            episode_row(cell, episode, row)
             for cell, episodes, rows in zip(cells, scored, measured, strict=True)
             for episode, row in zip(episodes, rows, strict=True)
         ],
         "faults": faults,
         **more,
     }
+
+
+def episode_row(cell: Any, episode: Episode, measured: dict[str, float]) -> dict[str, Any]:
+    """An item of `episodes` in results.json. cell: the episode's Cell; measured: its metrics, as `measure` gives
+    them."""
+    return {
+        "seed": episode.seed,
+        "cell": cell.name,
+        **{name: value if math.isfinite(value) else None for name, value in measured.items()},
+        **_each_person(episode),
+    }
+
+
+def fault_row(cell: Any, episode: Episode) -> dict[str, Any]:
+    """An item of `faults` in results.json: an episode of `cell` in which physics failed."""
+    return {"seed": episode.seed, "cell": cell.name, "time": episode.duration, "what": episode.fault}
 
 
 def _each_person(episode):

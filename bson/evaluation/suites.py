@@ -2,6 +2,8 @@
 
 A suite is a configuration, the seeds of its episodes, and axes. Each axis names its grades, and each grade names the
 fields of the configuration that it changes. Every combination of grades is a cell, and every cell plays the same seeds.
+
+The suite `held-out` has the cells of `standard`, and seeds that only who knows its passphrase knows (`held_out`).
 """
 
 import dataclasses
@@ -30,6 +32,11 @@ _DEFAULTS = {field.name: field.default for field in dataclasses.fields(TaskConfi
 _LATER = ("person_radius", "preferred_speed", "person_max_speed", "companions")
 _SEED_STRIDE = 1_000_000  # between the episodes of --seed S and those of --seed S + 1
 _MOST_CELLS = 1000
+PASSPHRASE_VARIABLE = "BSON_PASSPHRASE"
+HELD_OUT, _ITS_CELLS = "held-out", "standard"
+_HELD_OUT_FROM = 500_000  # within a stride: no shipped suite has a seed from here on
+_STRIDES = 9 * 10**12  # that --seed can name
+_PASSPHRASE = 16, 1000  # least and most characters of a passphrase
 
 _Share = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
 _Lcf = Annotated[float, Meta(ge=-10, le=10)]
@@ -113,12 +120,16 @@ class Cell:
 
 @dataclasses.dataclass(frozen=True)
 class Suite:
-    """The episodes by which agents are judged: cells, each with the same seeds."""
+    """The episodes by which agents are judged: cells, each with the same seeds.
+
+    apart: the seeds of each cell, where each has its own, as many in each; `seeds` is then empty.
+    """
 
     name: str
     description: str
     cells: tuple[Cell, ...]
     seeds: tuple[int, ...]
+    apart: tuple[tuple[int, ...], ...] = ()
 
     @property
     def axes(self) -> dict[str, list[str]]:
@@ -133,7 +144,7 @@ class Suite:
     def digest(self) -> str:
         """A hash of everything from which the episodes follow: cells, seeds, and the maps that they name. 12
         hexadecimal digits."""
-        content = [self.seeds, *(cell.content for cell in self.cells)]
+        content = [self.apart or self.seeds, *(cell.content for cell in self.cells)]
         text = json.dumps(content, sort_keys=True, default=np.ndarray.tolist)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -149,15 +160,59 @@ class Suite:
             raise ValueError(f"A seed must be at least 0, not {seed}.")
         return [s + _SEED_STRIDE * seed for s in self.seeds[:episodes]]
 
+    def of_cells(self, episodes: int | None = None, seed: int = 0) -> list[list[int]]:
+        """The seeds that each cell plays, as `drawn` gives them, or the first `episodes` of its own.
+
+        Raises ValueError as `drawn` does, and for another `seed` than 0 where cells have seeds of their own.
+        """
+        if not self.apart:
+            return [self.drawn(episodes, seed)] * len(self.cells)
+        if seed:
+            raise ValueError(f"The seeds of '{self.name}' follow from its passphrase: leave --seed out, not {seed}.")
+        if episodes is not None and not 1 <= episodes <= len(self.apart[0]):
+            raise ValueError(f"Suite '{self.name}' has 1 to {len(self.apart[0])} episodes a cell, not {episodes}.")
+        return [list(each[:episodes]) for each in self.apart]
+
+    def stride(self, seed: int) -> int:
+        """The argument `seed` of `of_cells` that gives the episode `seed`."""
+        return 0 if self.apart else seed // _SEED_STRIDE
+
 
 def suite_names() -> list[str]:
     """Names of the suites, sorted."""
     return assets.names("suites", ".toml")
 
 
-def load_suite(name: str) -> Suite:
-    """The suite `name`: one of `suite_names()`, or a .toml file. Raises UsageError, naming the valid choices."""
+def load_suite(name: str, passphrase: str | None = None) -> Suite:
+    """The suite `name`: one of `suite_names()`, a .toml file, or "held-out" with its `passphrase`. Raises UsageError,
+    naming the valid choices."""
+    if name == HELD_OUT and passphrase is not None:
+        return held_out(passphrase)
+    if passphrase is not None:
+        raise UsageError(f"A passphrase is of the suite '{HELD_OUT}' alone: leave it out with {shown(name)}.")
     return SUITES.load(name)
+
+
+def held_out(passphrase: str) -> Suite:
+    """The suite `held-out` of a `passphrase`: the cells of `standard`, in each as many episodes.
+
+    The seed of a cell's episode `index` (0, 1, ...) follows from the first 16 bytes of SHA-256 of the UTF-8 text
+    "passphrase\\0cell\\0index". It lies in one of the strides that --seed names, beyond the seeds of every shipped
+    suite there: no set of a shipped suite has it. The digest is of these seeds, and does not tell the passphrase; a
+    short one could be guessed from it. Raises UsageError for fewer characters than 16, and for what is no line of text.
+    """
+    least, most = _PASSPHRASE
+    if not (least <= len(passphrase) <= most and passphrase.isprintable()):
+        raise UsageError(f"A passphrase is a line of {least} to {most} characters: this one has {len(passphrase)}.")
+    open_one = load_suite(_ITS_CELLS)
+
+    def seed(cell, index):
+        digest = hashlib.sha256(f"{passphrase}\0{cell.name}\0{index}".encode()).digest()
+        stride, place = divmod(int.from_bytes(digest[:16]), _SEED_STRIDE - _HELD_OUT_FROM)
+        return _SEED_STRIDE * (stride % _STRIDES) + _HELD_OUT_FROM + place
+
+    apart = tuple(tuple(seed(cell, index) for index in range(len(open_one.seeds))) for cell in open_one.cells)
+    return Suite(HELD_OUT, f"the cells of {_ITS_CELLS}, seeds of a passphrase", open_one.cells, (), apart)
 
 
 def read_suite(file: str | pathlib.Path) -> Suite:
@@ -192,7 +247,16 @@ def read_suite(file: str | pathlib.Path) -> Suite:
 
 def _read(name):
     """The suite `name`, a shipped one, or the suite in a file."""
+    if name == HELD_OUT:
+        raise UsageError(
+            f"The suite '{HELD_OUT}' has no seeds without its passphrase: give it to bson evaluate or bson verify by "
+            f"--passphrase-file FILE, or in the environment variable {PASSPHRASE_VARIABLE}."
+        )
     return read_suite(name if name.endswith(".toml") else assets.path("suites", f"{name}.toml"))
 
 
-SUITES: Kind[Suite] = Kind("suite", shipped=suite_names, read=_read, files=(".toml",))
+def _all_names():
+    return sorted([*suite_names(), HELD_OUT])
+
+
+SUITES: Kind[Suite] = Kind("suite", shipped=_all_names, read=_read, files=(".toml",))

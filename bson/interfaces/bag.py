@@ -1,13 +1,17 @@
 """Episodes as rosbag2 folders with MCAP storage (extra `record`): written while they are played, and read back.
 
 A bag has the messages of bson.interfaces.messages. What does not change in an episode stands in the bag's metadata as
-JSON, under custom data's key `bson` (_About). From both, `read` makes the Episode again, so that it can be scored.
+JSON, under custom data's key `bson` (_About). From both, `read` makes the Episode again, so that it can be scored. The
+metadata has digests of itself and of the messages from which the score follows, so that damage does not pass for an
+episode.
 """
 
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import json
+import math
 import pathlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +25,7 @@ from bson.episodes.record import Episode
 from bson.interfaces.messages import COUNTERS, PROGRESS, Reporter, Topic
 from bson.simulation.data import QUANTITIES
 from macid.documents import convert, shown_path
-from macid.files import UsageError, check_folder, named, whole_folder
+from macid.files import UsageError, check_folder, named, remove_leftover_folders, whole_folder
 from macid.state import RADIUS
 
 if TYPE_CHECKING:
@@ -31,6 +35,18 @@ FORMAT = 1
 _KEY = "bson"
 _STATIC = ("seed", "goal", "fault", "lcf", "boxes", "shortest", "timed_out", "period", "robot_radius", "person_radius")
 _MOST_STEPS = 10_000_000  # of a bag that is read
+_SCORED = ("/odom", "/people/poses", "/people/states", "/collisions", "/episode")  # the score follows from these
+_SIGNED = (*_SCORED, "/cmd_vel")  # topics that have a digest
+
+
+def _digest(content=b""):
+    return hashlib.blake2b(content, digest_size=16)
+
+
+def _signed(content):
+    """The digest of a bag's metadata, but for the digest itself."""
+    plain = {key: value for key, value in content.items() if key != "digest"}
+    return _digest(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 def _rosbags() -> Any:
@@ -124,11 +140,14 @@ class Recording:
             name: self._writer.add_connection(name, topic.kind, typestore=store, offered_qos_profiles=[quality(topic)])
             for name, topic in self._reporter.topics.items()
         }
+        self._digests = {name: _digest() for name in _SIGNED}
         self._write(self._reporter.begin())
 
     def _write(self, said):
         for topic, stamp, message in said:
             data = self._carrier.store.serialize_cdr(message, topic.kind)
+            if topic.name in self._digests:
+                self._digests[topic.name].update(data)
             self._writer.write(self._connections[topic.name], stamp, data)
 
     def snap(self, action: np.ndarray, *_: Any) -> None:
@@ -146,7 +165,9 @@ class Recording:
             "people_goals": None if episode.people_goals is None else episode.people_goals.tolist(),
             "steps": self._steps,
             "nq": episode.qpos.shape[-1],
+            "messages": {name: digest.hexdigest() for name, digest in self._digests.items()},
         }
+        content["digest"] = _signed(content)
         self._writer.set_custom_data(_KEY, json.dumps(content))
         self._writer.close()
         for file in self._writer.path.iterdir():
@@ -169,11 +190,13 @@ def recordings(
 ) -> Iterator[Callable[["Session", int], "Recording"]]:
     """In a `with`: a function that begins the Recording of a world's episode in the folder `out`, for the argument
     `watch` of bson.evaluation.play.run_episodes. Where the work in the `with` fails, the bags of the episodes that
-    have not ended are removed.
+    have not ended are removed, and so are those that a recorder that was killed left there.
 
     called: gives the name of an episode's bag from its seed. about: what the bags' metadata tells beside episodes.
     """
     check()
+    if pathlib.Path(out).is_dir():
+        remove_leftover_folders(out, _unfinished)
     open_bags: dict[int, Recording] = {}
 
     def begin(session, index):
@@ -187,6 +210,13 @@ def recordings(
         for each in open_bags.values():
             each.discard()
         raise
+
+
+def _unfinished(path, name):
+    """Whether the temporary folder `path` holds what a recorder that was killed left of the bag `name`."""
+    files = {str(file.relative_to(path)) for file in path.rglob("*")}
+    own = {f"{name}/{name}.mcap", f"{name}.mcap", f"{name}/metadata.yaml", "metadata.yaml"}
+    return path.is_dir() and bool(files & own) and files <= {name, *own}
 
 
 class _About(msgspec.Struct):
@@ -217,6 +247,8 @@ class _About(msgspec.Struct):
     sensors: list[dict[str, Any]] = []
     overrides: dict[str, str] = {}
     frozen_seeds: bool = True
+    messages: dict[str, str] = {}  # digests; none in bags of earlier versions
+    digest: str | None = None
 
 
 def bags_in(paths: Sequence[str | pathlib.Path]) -> list[pathlib.Path]:
@@ -228,6 +260,9 @@ def bags_in(paths: Sequence[str | pathlib.Path]) -> list[pathlib.Path]:
             found.append(path)
             continue
         inside = sorted(file.parent for file in path.glob("*/metadata.yaml")) if path.is_dir() else []
+        for part in sorted([path, *(file.parent for file in path.glob("*/*.mcap"))]):
+            if any(part.glob("*.mcap")) and part not in inside:
+                raise UsageError(f"The bag {shown_path(part)} has no metadata.yaml: it was cut short. Record it anew.")
         if not inside:
             raise UsageError(f"There is no bag in {named(path)}: name a folder that bson record wrote.")
         found += inside
@@ -245,16 +280,22 @@ def read(path: str | pathlib.Path) -> tuple[Any, Episode]:
     try:
         with bags.Reader(path) as reader:
             about = _read_about(reader, where)
-            rows = _read_rows(reader, where)
+            rows, digests = _read_rows(reader, where)
     except UsageError:
         raise
     except Exception as error:  # rosbags raises errors of many kinds for damaged files
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
+        reason = " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__
         raise UsageError(f"Can't read the {where}: {reason}. It is damaged or was cut short: record it anew.") from None
     for name, values in rows.items():
         if len(values) != about.steps + 1:
             found = f"{len(values)} of {about.steps + 1} messages of {name}"
             raise UsageError(f"The {where} has {found}: it was cut short, or filtered. Record it anew.")
+    for name, digest in digests.items():
+        if about.messages.get(name, digest) != digest:
+            raise UsageError(
+                f"The {where} has other messages on {name} than were recorded: it is damaged, or was changed."
+            )
+    _check(about, rows, where)
     return about, _episode(about, rows, where)
 
 
@@ -267,15 +308,17 @@ def _read_about(reader, where):
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise UsageError(f"The {where} is of another version: this one reads format {FORMAT}.")
     about = convert(content, _About, where)
+    if about.digest not in (None, _signed(content)):
+        raise UsageError(f"The {where} has other metadata than were recorded: it is damaged, or was changed.")
     if not 0 <= about.steps <= _MOST_STEPS:
         raise UsageError(f"{where}, key 'steps': a number from 0 to {_MOST_STEPS} is wanted, not {about.steps}.")
     return about
 
 
 def _read_rows(reader, where):
-    """{topic: the numbers of each of its messages}. Raises UsageError for a topic that is missing or of another
-    type."""
-    readers = {
+    """{topic: the numbers of each of its messages}, and {topic: the digest of its messages}. Raises UsageError for a
+    topic that is missing or of another type."""
+    readers = {  # of _SCORED
         "/odom": ("nav_msgs/msg/Odometry", _of_odometry),
         "/people/poses": ("geometry_msgs/msg/PoseArray", _of_poses),
         "/people/states": ("sensor_msgs/msg/PointCloud2", _of_states),
@@ -290,10 +333,30 @@ def _read_rows(reader, where):
         if there[name].msgtype != kind:
             raise UsageError(f"The {where} has {there[name].msgtype} on {name}, not {kind}.")
     rows: dict[str, list] = {name: [] for name in readers}
-    for connection, _, data in reader.messages(connections=[there[name] for name in readers]):
-        kind, of = readers[connection.topic]
-        rows[connection.topic].append(of(store.deserialize_cdr(data, kind)))
-    return rows
+    digests = {name: _digest() for name in _SIGNED if name in there}
+    for connection, _, data in reader.messages(connections=[there[name] for name in digests]):
+        digests[connection.topic].update(data)
+        if connection.topic in readers:
+            kind, of = readers[connection.topic]
+            rows[connection.topic].append(of(store.deserialize_cdr(data, kind)))
+    return rows, {name: digest.hexdigest() for name, digest in digests.items()}
+
+
+def _check(about, rows, where):
+    """Raises UsageError for numbers of which no episode is made."""
+    people = {len(row) for name in ("/people/poses", "/people/states") for row in rows[name]} | {len(about.lcf)}
+    if len(people) > 1:
+        raise UsageError(f"The {where} has different numbers of people: {', '.join(map(str, sorted(people)))}.")
+    free = PROGRESS.index("nearest_person")  # infinity without people
+    for name, values in rows.items():
+        found = np.array(values, float)
+        if name == "/episode":
+            found[np.isposinf(found[:, free]), free] = 0.0
+        if not np.isfinite(found).all():
+            raise UsageError(f"The {where} has a number on {name} that is not finite.")
+    for key in ("period", "robot_radius", "person_radius"):
+        if not (value := getattr(about, key)) > 0 or not math.isfinite(value):
+            raise UsageError(f"{where}, key '{key}': a number above 0 is wanted, not {value}.")
 
 
 def _of_odometry(message):
@@ -325,6 +388,8 @@ def _of_row(message, names, where):
     told = message.layout.dim[0].label.split(",") if message.layout.dim else []
     if told != list(names):
         raise UsageError(f"The {where} has rows of {', '.join(told) or 'nothing'}, not of {', '.join(names)}.")
+    if len(message.data) != len(names):
+        raise UsageError(f"The {where} has a row of {len(message.data)} numbers, not {len(names)}: {', '.join(names)}.")
     return message.data
 
 

@@ -18,9 +18,11 @@ import numpy as np
 from bson.agents.contract import AgentError
 from bson.interfaces.messages import Topic
 from macid import start
+from macid.documents import shown
 from macid.files import UsageError
 
 _NEEDED = ("geometry_msgs.msg", "nav_msgs.msg", "rosgraph_msgs.msg", "sensor_msgs.msg", "std_msgs.msg", "std_srvs.srv")
+_MOST_DOMAIN = 232  # whose ports are below 65,536
 _OPTIONAL = ("tf2_msgs", "visualization_msgs")  # packages without which a node goes on
 
 
@@ -119,12 +121,21 @@ class Wire:
         return bool(found)
 
 
+def _check_domain():
+    """Raises UsageError for a domain that DDS has no ports for, which would end the process."""
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    if given and not (given.isascii() and given.isdigit() and int(given) <= _MOST_DOMAIN):
+        raise UsageError(f"ROS_DOMAIN_ID must be a whole number from 0 to {_MOST_DOMAIN}, not {shown(given)}.")
+
+
 @contextlib.contextmanager
 def wire(name: str) -> Iterator[Wire]:
     """A Wire of a new node `name`, in a `with`. Raises UsageError where ROS 2 is missing or can't start."""
-    # Shared memory would leave files behind where a process is killed.
+    # Shared memory would leave files behind where a process is killed. (With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST,
+    # rmw_fastrtps takes it all the same.)
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     rclpy = _rclpy()
+    _check_domain()
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 

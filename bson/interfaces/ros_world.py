@@ -25,6 +25,9 @@ PATIENCE = 60.0  # until the first command [s]
 TIMEOUT = 10.0  # until each later command [s]
 STALE = 0.5  # in real time, the age from which a command is no longer obeyed [s]
 _REPEAT = 1.0  # the state is told again to somebody who came late [s]
+_SETTLED = 0.3  # who commands and listens is known once nobody has come or gone for so long [s]
+_HEARD = 1.0  # until listeners have acknowledged what they were told [s]
+_LAST = 0.5  # until the answer to an episode's last state, where answers have no stamps [s]
 _LOOK = 0.02  # between two looks at the clock while waiting [s]
 _GAP = 1.0  # of simulated time between two episodes: the clock never runs backwards [s]
 
@@ -73,6 +76,8 @@ class WorldNode:
         self._came = -np.inf  # when the last command came, by the machine's clock [s]
         self._since, self._now, self._next = 0, 0, 1.0  # stamps of the reset and the state [ns]; of the next reset [s]
         self._answered = False
+        self._told, self._told_to, self._came_or_went = -np.inf, [], -np.inf  # see _tell; by the machine's clock [s]
+        self._introduced = True  # whether all who listen got the state of the episode's start
         self._warned: set[tuple[str, int]] = set()
         self.paused = self.restart = False
         self._reporter: Reporter | None = None
@@ -100,6 +105,8 @@ class WorldNode:
 
     def begin(self, session: Session, index: int = 0) -> None:
         """Tells the start of an episode, after its reset."""
+        if self._lockstep and not self._stamped and self._answered:
+            self._wait_for_last_answer()
         world = session.world
         without = [topic.kind for topic in _all_topics(world) if topic.kind.split("/")[0] in self._missing]
         self._session, self._world, self._index = session, world, index
@@ -113,6 +120,7 @@ class WorldNode:
         self._command, self._answered = None, False
         self._period = world.config.control_period
         self._due = time.monotonic() + self._period
+        self._introduced = False
         self._tell(self._reporter.begin())
 
     def snap(self, *_: Any) -> None:
@@ -124,11 +132,46 @@ class WorldNode:
         self._tell(self._reporter.step())
 
     def _tell(self, said):
+        self._told, there = time.monotonic(), self._others()
+        if there != self._told_to:
+            self._told_to, self._came_or_went = there, self._told
         for topic, _, message in said:
             publisher = self._publishers[topic.name]
             publisher.publish(message)
             if topic.latched and self._lockstep and publisher.get_subscription_count():
-                ros.acknowledged(publisher, 1.0)  # before what follows from it
+                ros.acknowledged(publisher, _HEARD)  # before what follows from it
+
+    def _others(self):
+        """How many command, and how many listen to each topic."""
+        listeners = [publisher.get_subscription_count() for publisher in self._publishers.values()]
+        return [self._wire.node.count_publishers(self._topic.name), *listeners]
+
+    def _tell_again(self):
+        """Tells the present state again, if it was told more than _REPEAT ago. Where commands have no stamps, only to
+        somebody who came since: a second answer to this state would pass for one to the next."""
+        late = time.monotonic() - self._told >= _REPEAT
+        if late and (self._stamped or not self._lockstep or self._others() != self._told_to):
+            assert self._reporter is not None
+            self._tell(self._reporter.step())
+
+    def _introduce(self):
+        """Whether all who listen got the state of the episode's start; it is told again to those who came since.
+
+        DDS finds a node's subscriptions one by one, and perhaps after its first command: so the node that has to answer
+        the first state does not miss it.
+        """
+        if not self._introduced:
+            assert self._reporter is not None
+            if self._others() != self._told_to:
+                self._tell(self._reporter.step())
+            if time.monotonic() - self._came_or_went < _SETTLED:
+                return False
+            latest = time.monotonic() + _HEARD
+            for publisher in self._publishers.values():
+                if publisher.get_subscription_count():
+                    ros.acknowledged(publisher, max(0.0, latest - time.monotonic()))
+            self._introduced = True
+        return True
 
     # --- what comes
 
@@ -168,8 +211,8 @@ class WorldNode:
 
     def _wait_for_command(self):
         patience = self._timeout if self._answered else max(PATIENCE, self._timeout)
-        begun = looked = told = time.monotonic()
-        while self._command is None or self.paused:
+        begun = looked = time.monotonic()
+        while self._command is None or self.paused or not self._introduce():
             self._spin(_LOOK)
             now = time.monotonic()
             if self.paused:
@@ -187,30 +230,28 @@ class WorldNode:
                         f"Nobody publishes on {self._topic.name} any more, at {self._now / 1e9:.2f} s of simulated "
                         "time: in lockstep each control step waits for a command."
                     )
-            told = self._tell_again(told)
+            self._tell_again()
         return self._command
 
-    def _tell_again(self, told):
-        """Tells the present state again, if it was told more than _REPEAT ago, at `told` [s]; when it was told last."""
-        if (now := time.monotonic()) - told < _REPEAT:
-            return told
-        assert self._reporter is not None
-        self._tell(self._reporter.step())
-        return now
+    def _wait_for_last_answer(self):
+        """Waits until the last state's answer is there: without a stamp it would pass for one to the next episode's
+        first state."""
+        latest = time.monotonic() + _LAST
+        while self._command is None and time.monotonic() < latest:
+            self._wire.spin(_LOOK)
 
     def stand(self) -> None:
         """Waits, while nothing moves, until the reset is called: raises Restarted."""
-        told = time.monotonic()
         while True:
             self._spin(_LOOK)
-            told = self._tell_again(told)
+            self._tell_again()
 
     def _wait_for_somebody(self):
         """Waits until somebody publishes commands, before the first step."""
-        begun = told = time.monotonic()
-        while not self._wire.check_publishers(self._topic):
+        begun = time.monotonic()
+        while not (self._wire.check_publishers(self._topic) and self._introduce()):
             self._spin(_LOOK)
-            told = self._tell_again(told)
+            self._tell_again()
             if time.monotonic() - begun > PATIENCE:
                 raise AgentError(f"Nobody publishes {self._topic.kind} on {self._topic.name}: what is to drive?")
         self._driven, self._due = True, time.monotonic() + self._period
@@ -218,11 +259,11 @@ class WorldNode:
     def _wait_for_period(self):
         if not self._driven:
             self._wait_for_somebody()
-        told = time.monotonic()
         while (left := self._due - time.monotonic()) > 0 or self.paused:
             self._spin(_LOOK if self.paused else min(left, _LOOK))
             if self.paused:
-                told, self._due = self._tell_again(told), time.monotonic() + self._period
+                self._tell_again()
+                self._due = time.monotonic() + self._period
         self._wire.check_publishers(self._topic)
         now = time.monotonic()
         self._due = max(self._due, now - self._period) + self._period  # a machine that is too slow does not catch up

@@ -26,12 +26,13 @@ from bson.interfaces.gym import ACTION_SPACE
 from bson.simulation.data import QUANTITIES
 from bson.task import TaskConfig
 from macid.documents import shown
-from macid.files import UsageError, named, whole_folder
+from macid.files import UsageError, named, remove_leftover_folders, whole_folder
 
 #: {the name of a set of the paper's setting: its agent}
 LEVELS = {"expert": "tac", "medium": "ppo-paper", "random": "random"}
 _INFOS = tuple(each.name for each in QUANTITIES if each.info and each.kind is not str and each.name != "seed")
 _SEEN = ("goal", "velocity", "lidar")  # what learned robots observe (bson.features)
+_FILES = {"data", "data/main_data.hdf5", "data/metadata.json"}  # of a dataset
 _ID = re.compile(r"([-_\w]+/)*[-_\w]+-v\d+")  # as Minari has them, with a version
 
 
@@ -152,6 +153,7 @@ def _storage(folder, name, config, track, wanted, about) -> Iterator[Any]:
     from minari.dataset.minari_storage import MinariStorage
 
     with whole_folder(folder) as temporary:
+        remove_leftover_folders(temporary.parent, _unfinished)
         storage = MinariStorage.new(
             temporary / "data",
             observation_space=track.space(config),
@@ -161,6 +163,11 @@ def _storage(folder, name, config, track, wanted, about) -> Iterator[Any]:
         )
         storage.update_metadata({"dataset_id": name, "minari_version": __version__, **about})
         yield storage
+
+
+def _unfinished(path, name):
+    """Whether the temporary folder `path` holds what a run that was killed left of a dataset."""
+    return {str(file.relative_to(path)) for file in path.rglob("*")} == _FILES
 
 
 def write(

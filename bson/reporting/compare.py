@@ -1,15 +1,28 @@
 """Several results of `bson evaluate` beside each other, with paired differences: a table, compare.json, compare.html.
 
-Episodes are paired by cell and seed: in such a pair the robots met the same people on the same map.
+Episodes are paired by cell and seed: in such a pair the robots met the same people on the same map. Several trainings
+of one agent are one column (Group): bson.evaluation.statistics says what their intervals are over.
 """
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
 from typing import Any
 
-from bson.evaluation.metrics import GROUPS, METRICS, TAKEN, metrics_of, summarise
+import numpy as np
+
+from bson.evaluation.metrics import GROUPS, METRICS, TAKEN, metrics_of
 from bson.evaluation.results import Results
+from bson.evaluation.statistics import (
+    LEAST_SEEDS,
+    difference_of_runs,
+    improvement,
+    interquartile_mean,
+    pairs_of,
+    summarise_runs,
+    table,
+)
 from bson.reporting.heatmap import Scale, Tile, cell_maps
 from bson.reporting.page import BETTER, DASH, numbers, plural, render
 from macid.documents import shown
@@ -19,7 +32,22 @@ MAIN = (
     "time_to_collision",
 )  # fmt: skip
 BY_CELL = ("SNS", "success", "Coll")
+JUDGED = ("SNS", "Coll")  # metrics with interquartile means, and with the probability of improvement
 LEAST_PAIRS = 6  # with fewer pairs, differences that all have one sign come by chance in more than 5% of cases
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """A column of the comparison: the Results of an agent, of each of its trainings where it was trained several
+    times. name: the column's; "": the agent's."""
+
+    runs: tuple[Results, ...]
+    name: str = ""
+
+    @property
+    def source(self) -> str:
+        """Where the results come from, as the user named it."""
+        return ", ".join(run.source for run in self.runs)
 
 
 def check_comparable(runs: Sequence[Results]) -> None:
@@ -57,12 +85,12 @@ def _setting(value):
     return "none" if value is None else shown(value)
 
 
-def labels(runs: Sequence[Results]) -> list[str]:
-    """A name for each run: its agent, with the source where two runs have the same agent."""
-    agents = [run.content["agent"] for run in runs]
+def labels(groups: Sequence[Group]) -> list[str]:
+    """A name for each group: its own, or its agent, with the source where two groups have the same name."""
+    names = [group.name or group.runs[0].agent for group in groups]
     return [
-        agent if agents.count(agent) == 1 else f"{agent} ({run.source})"
-        for agent, run in zip(agents, runs, strict=True)
+        name if names.count(name) == 1 else f"{name} ({group.source})"
+        for name, group in zip(names, groups, strict=True)
     ]
 
 
@@ -81,10 +109,12 @@ def _shared(runs):
     return shared
 
 
-def _measured(run, keys, names):
-    """Metrics `names` of the episodes `keys`, as `measure` gives them."""
-    rows = run.rows
-    return [{name: math.inf if rows[key][name] is None else rows[key][name] for name in names} for key in keys]
+def _measured(group, keys, names):
+    """Metrics `names` of the episodes `keys`, as `measure` gives them, of each run of a group."""
+    return [
+        [{name: math.inf if rows[key][name] is None else rows[key][name] for name in names} for key in keys]
+        for rows in (run.rows for run in group.runs)
+    ]
 
 
 def differences(measured: list[dict[str, float]], reference: list[dict[str, float]]) -> dict[str, Any]:
@@ -93,26 +123,68 @@ def differences(measured: list[dict[str, float]], reference: list[dict[str, floa
     {metric: {"mean", "low", "high", "count", "differs"}}. count: pairs in which both are finite; differs: whether the
     interval excludes 0, and there are at least LEAST_PAIRS pairs.
     """
-    pairs = zip(measured, reference, strict=True)
-    found = summarise([{name: ours[name] - theirs[name] for name in ours} for ours, theirs in pairs])
+    return _differences([measured], [reference])
+
+
+def _differences(measured, reference, seeds=None):
+    """As `differences`, of the rows of several runs each; seeds: those of the episodes."""
+    found = difference_of_runs(measured, reference, seeds)
     for row in found.values():
         row["differs"] = row["count"] >= LEAST_PAIRS and (row["low"] > 0 or row["high"] < 0)
     return found
 
 
-def _side_by_side(runs, keys, names):
-    """For each run the summary over the episodes `keys`, and its differences from the first run; None for the first
-    run."""
-    measured = [_measured(run, keys, names) for run in runs]
+def _seeds(keys):
+    """(episodes,) the seeds of the episodes `keys`."""
+    return np.array([seed for _, seed in keys])
+
+
+def _side_by_side(groups, keys, names):
+    """For each group the summary over the episodes `keys`, and its differences from the first group; None for the
+    first."""
+    measured, seeds = [_measured(group, keys, names) for group in groups], _seeds(keys)
     return [
-        {"summary": summarise(rows), "difference": differences(rows, measured[0]) if place else None}
+        {
+            "summary": summarise_runs(rows, seeds),
+            "difference": _differences(rows, measured[0], seeds) if place else None,
+        }
         for place, rows in enumerate(measured)
     ]
 
 
-def _notes(runs, names, keys):
+def _judged(groups, keys, metrics):
+    """(for each group {metric: its interquartile mean}, the pairs of groups with the probability of improvement) of the
+    `metrics` that all episodes `keys` have. Which of a pair is named first does not matter: the other has the rest."""
+    better, seeds = {metric.name: metric.better for metric in METRICS}, _seeds(keys)
+    cells = np.array([cell for cell, _ in keys])
+    measured = [_measured(group, keys, metrics) for group in groups]
+    values = {name: [table(rows, name) for rows in measured] for name in metrics}
+    whole = {name: each for name, each in values.items() if all(math.isfinite(one.sum()) for one in each)}
+    means = [
+        {name: interquartile_mean(each[place], seeds)._asdict() for name, each in whole.items()}
+        for place in range(len(groups))
+    ]
+    pairs = []
+    for of, over in pairs_of(len(groups)):
+        row: dict[str, Any] = {"of": of, "over": over}
+        for name, each in whole.items():
+            found = improvement(each[of], each[over], cells, better[name], seeds)
+            row[name] = {
+                "paired": found.paired._asdict() | {"ties": found.paired_ties},
+                "unpaired": found.unpaired._asdict() | {"ties": found.unpaired_ties},
+                "differs": len(keys) >= LEAST_PAIRS and not found.paired.low <= 0.5 <= found.paired.high,
+            }
+        pairs.append(row)
+    return means, pairs
+
+
+def _notes(groups, keys):
     """Warnings that a reader must know."""
-    notes = []
+    notes, runs = [], [run for group in groups for run in group.runs]
+    names = labels([Group((run,)) for run in runs])
+    for name, group in zip(labels(groups), groups, strict=True):
+        if 1 < len(group.runs) < LEAST_SEEDS:
+            notes.append(f"{name}: {len(group.runs)} training seeds: intervals over so few are too narrow.")
     if any(len(run.rows) > len(keys) for run in runs):
         had = ", ".join(f"{name} has {len(run.rows)}" for name, run in zip(names, runs, strict=True))
         notes.append(f"Only the {plural(len(keys), 'episode')} that all runs have are compared: {had}.")
@@ -125,19 +197,29 @@ def _notes(runs, names, keys):
         found = dict.fromkeys(run.content["versions"].get(package) for run in runs)
         if len(found) > 1:
             notes.append(f"Made with different versions of {package}: {', '.join(map(str, found))}.")
+    if (seeds := len(set(_seeds(keys)))) < len(keys):
+        notes.append(
+            f"The {plural(len(keys), 'episode')} have {plural(seeds, 'seed')}; those of one seed share draws, such as "
+            "the maze and the start. Interquartile means, probabilities of doing better and columns of several "
+            "trainings are drawn by seeds. Other intervals take each episode for itself: they are too narrow where "
+            "seeds matter."
+        )
     return notes
 
 
-def compare(runs: Sequence[Results]) -> dict[str, Any]:
-    """The content of compare.json: each run's summary over the episodes that all runs have, and its differences from
-    the first run.
+def compare(columns: Sequence[Results | Group]) -> dict[str, Any]:
+    """The content of compare.json: each column's summary over the episodes that all runs have, and its differences from
+    the first column; interquartile means, and of each pair of columns the probability that one does better.
 
-    Raises ValueError where the runs are of different suites, versions of a suite or settings, or share no episode.
+    columns: Results, or Groups of them, in which the runs differ by their training seeds alone. Raises ValueError where
+    the runs are of different suites, versions of a suite or settings, or share no episode.
     """
-    if len(runs) < 2:
+    if len(columns) < 2:
         raise ValueError("Name at least two results to compare.")
+    groups = [each if isinstance(each, Group) else Group((each,)) for each in columns]
+    runs = [run for group in groups for run in group.runs]
     check_comparable(runs)
-    keys, names, first = _shared(runs), labels(runs), runs[0].content
+    keys, names, first = _shared(runs), labels(groups), runs[0].content
     metrics = [
         m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])
     ]
@@ -149,9 +231,10 @@ def compare(runs: Sequence[Results]) -> dict[str, Any]:
                     "name": cell["name"],
                     "grades": cell["grades"],
                     "episodes": len(within),
-                    "runs": _side_by_side(runs, within, [name for name in metrics if name in BY_CELL]),
+                    "runs": _side_by_side(groups, within, [name for name in metrics if name in BY_CELL]),
                 }
             )
+    means, pairs = _judged(groups, keys, [name for name in JUDGED if name in metrics])
     own = {name: told for name, told in first.get("metrics", {}).items() if name in metrics and name not in TAKEN}
     return {
         "suite": first["suite"],
@@ -159,16 +242,19 @@ def compare(runs: Sequence[Results]) -> dict[str, Any]:
         "overrides": first.get("overrides", {}),
         "config": first["cells"][0]["config"],
         "episodes": len(keys),
-        "notes": _notes(runs, names, keys),
+        "notes": _notes(groups, keys),
         "runs": [
             {
                 "name": name,
-                "source": run.source,
-                **{key: run.content.get(key) for key in ("agent", "track", "command", "versions")},
+                "source": group.source,
+                "training_seeds": len(group.runs),
+                **{key: group.runs[0].content.get(key) for key in ("agent", "track", "command", "versions")},
                 **side,
+                "interquartile_mean": mean,
             }
-            for name, run, side in zip(names, runs, _side_by_side(runs, keys, metrics), strict=True)
+            for name, group, side, mean in zip(names, groups, _side_by_side(groups, keys, metrics), means, strict=True)
         ],
+        "improvement": pairs,
         "cells": cells,
         **({"metrics": own} if own else {}),  # units and meanings of the user's own metrics
     }
@@ -209,6 +295,7 @@ def format_comparison(content: dict[str, Any]) -> str:
             *([name, *(_text(run["difference"].get(name), True) for run in others)] for name in metrics),
         ]
     )
+    lines += ["", *_judged_lines(content)]
     if content["cells"]:
         lines += ["", f"SNS by cell, and its difference from {first}'s"]
         table = [["cell", "episodes", *names, *(f"{run['name']} - {first}" for run in others)]]
@@ -218,6 +305,41 @@ def format_comparison(content: dict[str, Any]) -> str:
             table.append([cell["name"], str(cell["episodes"]), *values])
         lines += _aligned(table)
     return "\n".join([*lines, "", *content["notes"]]).rstrip()
+
+
+def _judged_lines(content):
+    """Interquartile means and probabilities of improvement as lines of text."""
+    runs, pairs = content["runs"], content["improvement"]
+    metrics = list(runs[0]["interquartile_mean"])
+    lines = ["Interquartile mean: of the middle half of the episodes of all of a column's trainings"]
+    lines += _aligned(
+        [
+            ["metric", *(run["name"] for run in runs)],
+            *([name, *(_estimate(run["interquartile_mean"][name]) for run in runs)] for name in metrics),
+        ]
+    )
+    lines += ["", "Probability that one does better than another, a tie counted half, on the same episode (* where the"]
+    lines.append("interval excludes 0.5), and on any two episodes of the same cell")
+    table = [["", *(f"{name}{way}" for name in metrics for way in (", same episode", ", any two"))]]
+    for pair in pairs:
+        words = [f"{runs[pair['of']]['name']} over {runs[pair['over']]['name']}"]
+        for name in metrics:
+            words += [_chance(pair[name], "paired"), _chance(pair[name], "unpaired")]
+        table.append(words)
+    return lines + _aligned(table)
+
+
+def _estimate(row):
+    value, low, high = numbers(row["value"], row["low"], row["high"])
+    return f"{value} [{low}, {high}]"
+
+
+def _chance(row, way):
+    """A probability of improvement as text, with a star where it bears out an order."""
+    found = row[way]
+    star = " *" if row["differs"] and way == "paired" else ""
+    ties = f", {found['ties']:.0%} ties" if found["ties"] >= 0.005 else ""
+    return f"{found['value']:.2f} [{found['low']:.2f}, {found['high']:.2f}]{ties}{star}"
 
 
 def _side(side, metric, better):
@@ -293,6 +415,30 @@ def _cells(content):
     ]
 
 
+def _judged_tables(content):
+    """The page's tables (metrics, rows of interquartile means, rows of probabilities of improvement), each row (name,
+    texts), with the CSS class of a pair whose order is borne out."""
+    runs, metrics = content["runs"], list(content["runs"][0]["interquartile_mean"])
+    means = [
+        (run["name"], run["training_seeds"], [_estimate(run["interquartile_mean"][name]) for name in metrics])
+        for run in runs
+    ]
+    pairs = [
+        (
+            f"{runs[pair['of']]['name']} over {runs[pair['over']]['name']}",
+            [(_chance(pair[name], way), _kind(pair[name], way)) for name in metrics for way in ("paired", "unpaired")],
+        )
+        for pair in content["improvement"]
+    ]
+    return {"metrics": metrics, "means": means, "pairs": pairs}
+
+
+def _kind(row, way):
+    if way != "paired" or not row["differs"]:
+        return ""
+    return "better" if row[way]["value"] > 0.5 else "worse"
+
+
 def make_page(content: dict[str, Any]) -> str:
     """The page compare.html as text. content: the content of compare.json."""
     runs, cells = content["runs"], content["cells"]
@@ -313,6 +459,8 @@ def make_page(content: dict[str, Any]) -> str:
         overview=_overview(runs),
         least_pairs=LEAST_PAIRS,
         groups=_groups(runs, metrics_of(content)),
+        judged=_judged_tables(content),
+        several=any(run["training_seeds"] > 1 for run in runs),
         by_cell=BY_CELL,
         cells=_cells(content),
         **strata,

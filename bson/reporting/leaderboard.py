@@ -12,7 +12,7 @@ from macid.files import UsageError, check_file, named, write_bytes
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- /leaderboard -->"
 _MOST_BYTES = 1 << 26  # of a README
-_COLUMNS = (  # after the SNS: metric, heading, format of a mean
+COLUMNS = (  # after the SNS: metric, heading, format of a mean
     ("success", "success", "{:.0%}"),
     ("Coll", "Coll", "{:.1f}"),
     ("SP", "SP", "{:.3f}"),
@@ -22,7 +22,7 @@ _COLUMNS = (  # after the SNS: metric, heading, format of a mean
 )
 
 
-def _played(run):
+def played(run: Results) -> set[tuple[str, int]]:
     """(cell, seed) of all episodes that the run played, the faulty ones included."""
     return run.rows.keys() | {(fault["cell"], fault["seed"]) for fault in run.content.get("faults", [])}
 
@@ -31,10 +31,10 @@ def _check(runs):
     """Raises ValueError unless all `runs` of a suite have the same version, setting and episodes."""
     check_comparable(runs)
     for run in runs[1:]:
-        if _played(run) != _played(runs[0]):
+        if played(run) != played(runs[0]):
             raise ValueError(
                 f"'{runs[0].source}' and '{run.source}' didn't play the same episodes of '{run.content['suite']}' "
-                f"({len(_played(runs[0]))} and {len(_played(run))}). Evaluate with the same --episodes and --seed."
+                f"({len(played(runs[0]))} and {len(played(run))}). Evaluate with the same --episodes and --seed."
             )
 
 
@@ -58,12 +58,12 @@ def _row(rank, run):
     if "SNS" in summary:
         low, high = content["intervals"]["SNS"]
         score = f"{summary['SNS']:.1f} [{low:.1f}, {high:.1f}]"
-    values = [form.format(summary[name]) if name in summary else "-" for name, _, form in _COLUMNS]
+    values = [form.format(summary[name]) if name in summary else "-" for name, _, form in COLUMNS]
     return [str(rank), f"{agent}{faults}", _plain(", ".join(content.get("track") or ["-"])), score, *values]
 
 
 def _caption(run):
-    content, episodes = run.content, len(_played(run))
+    content, episodes = run.content, len(played(run))
     digest = f", digest {_code(content['suite_digest'])}" if content.get("suite_digest") else ""
     cells = f" in {len(content['cells'])} cells" if len(content["cells"]) > 1 else ""
     other = "" if content.get("frozen_seeds", True) else ", not the suite's own seeds"
@@ -77,23 +77,30 @@ def _caption(run):
     )
 
 
+def by_suite(runs: Sequence[Results]) -> list[list[Results]]:
+    """The `runs` of each suite, the best SNS first. Raises ValueError where runs of one suite differ in its version,
+    setting or episodes."""
+    suites = {}
+    for run in runs:
+        suites.setdefault(run.content["suite"], []).append(run)
+    for group in suites.values():
+        _check(group)
+        group.sort(key=lambda run: (-run.content["summary"].get("SNS", -float("inf")), run.source))
+    return list(suites.values())
+
+
 def leaderboard(runs: Sequence[Results]) -> str:
     """Markdown: a table for each suite of `runs`, the best SNS first, with a line on the suite.
 
     Raises ValueError where runs of one suite differ in its version, setting or episodes.
     """
-    suites = {}
-    for run in runs:
-        suites.setdefault(run.content["suite"], []).append(run)
     tables = []
-    for group in suites.values():
-        _check(group)
-        ranked = sorted(group, key=lambda run: (-run.content["summary"].get("SNS", -float("inf")), run.source))
-        lines = [["rank", "agent", "track, sensor", "SNS", *(heading for _, heading, _ in _COLUMNS)]]
+    for ranked in by_suite(runs):
+        lines = [["rank", "agent", "track, sensor", "SNS", *(heading for _, heading, _ in COLUMNS)]]
         lines.append(["---"] * len(lines[0]))
         lines += [_row(rank, run) for rank, run in enumerate(ranked, start=1)]
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        tables.append(f"{table}\n\n{_caption(group[0])}")
+        tables.append(f"{table}\n\n{_caption(ranked[0])}")
     return "\n\n".join(tables)
 
 

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from macid import traits
-from macid.evaluate import table_lcf, usual_period
+from macid.evaluate import lcf_bins, table_lcf, usual_period
 from macid.files import UsageError, check_folder, new_folder, versions, write_json
 from macid.geometry import Array
-from macid.human import data, figures, flows, replay
+from macid.human import data, figures, flows, knob, replay
 from macid.human.data import Walks
 from macid.human.replay import Scene
 from macid.human.stage import Body
@@ -26,7 +26,7 @@ from macid.state import MAX_LCF, MAX_SPEED, RADIUS, TOP_SPEED, CrowdState
 RESULTS = "measured.json"
 PAGE = "index.html"
 FILM = "film.webm"
-PARTS = ("open", "flows")
+PARTS = ("open", "flows", "knob")
 _CONFIDENCE = 0.95
 
 
@@ -80,6 +80,16 @@ class Troupe:
                 controller(jax.tree.map(lambda a, rows=rows: a[rows], state), boxes, goals[rows], lcf[rows])
             )
         return jnp.concatenate(commands)
+
+
+def has_lcf(pedestrian: str) -> bool:
+    """Whether `pedestrian` is a learned model that was trained with a range of LCFs."""
+    if not is_learned(pedestrian):
+        return False
+    try:
+        return bool(lcf_bins(pedestrian))
+    except ValueError:
+        return False
 
 
 def is_recording(name: str) -> bool:
@@ -171,6 +181,8 @@ def _recording(path):
 def _model(pedestrian, walks, options, show):
     """([Played of each seed], scenes, [values of each seed], curves, what to tell) of a model."""
     names = troupe(pedestrian, options.seeds)
+    if options.only == "knob" and not has_lcf(names[0]):
+        raise UsageError(f"--only knob: '{pedestrian}' has no LCF that does anything.")
     period = usual_period(names[0]) if options.period is None else options.period
     made = {name: make_controller(name, period) for name in dict.fromkeys(names)}
     recipe = getattr(getattr(made[names[0]], "policy", None), "recipe", {})
@@ -193,7 +205,7 @@ def _model(pedestrian, walks, options, show):
         "seeds": options.seeds,
     }
     controller = Troupe([made[name] for name in names])
-    scenes = [Scene(walk) for walk in walks if walk.scene == "open"] if options.only != "flows" else []
+    scenes = [Scene(walk) for walk in walks if walk.scene == "open"] if options.only in (None, "open") else []
     seeds = list(range(options.seeds))
     values, curves, played = [{} for _ in seeds], {}, []
     if scenes:
@@ -211,6 +223,10 @@ def _model(pedestrian, walks, options, show):
     def drawn(rng, number):
         return traits.draw_preferred_speed(rng, wanted, number)
 
+    if options.only != "flows" and has_lcf(names[0]):
+        told["knob"] = knob.knob(controller, period, body, seeds, drawn, options.engine, show)
+    if options.only == "knob":
+        return played, scenes, values, curves, told
     for index, run in enumerate(flows.flows(controller, period, body, seeds, drawn, options.engine, show)):
         values[index] |= run.values
         curves.setdefault("diagram", []).extend(run.curves["diagram"])
@@ -289,6 +305,22 @@ def summary(values: list[dict[str, float]], people: dict[str, Any], otherwise: d
     return rows
 
 
+def knob_lines(document: dict[str, Any]) -> list[str]:
+    """What the LCF does, as lines of plain text: none for a model without LCFs."""
+    if "knob" not in document:
+        return []
+    found, lines = document["knob"], []
+    for name, title in (("touch", "share of time touching [%]"), ("way", "share of the sidestep")):
+        for where in knob.WHERE:
+            means = _finite_mean(np.array(found[name][where], dtype=float))
+            ranks = ", ".join("-" if rank is None else f"{rank:.2f}" for rank in found[f"{name}_rank"][where])
+            steps = ", ".join("-" if np.isnan(mean) else f"{mean:.2f}" for mean in means)
+            lines.append(
+                f"LCF {knob.LCFS[0]:g} to {knob.LCFS[-1]:g}, {where}: {title} {steps}; rank correlation {ranks}"
+            )
+    return lines
+
+
 def table(document: dict[str, Any]) -> str:
     """The rows of a document of `measure` as plain text."""
     lines = [f"{'measure':<58}{'people':>9}{'halves apart':>14}{'model':>9}  {'95%':<18}"]
@@ -301,4 +333,4 @@ def table(document: dict[str, Any]) -> str:
         between = "" if row["interval"] is None else "{:.{d}f} to {:.{d}f}".format(*row["interval"], d=digits[key])
         title = row["title"] + (f" [{row['unit']}]" if row["unit"] else "")
         lines.append(f"{title:<58}{shown[0]:>9}{shown[1]:>14}{shown[2]:>9}  {between:<18}".rstrip())
-    return "\n".join(lines)
+    return "\n".join([*lines, *knob_lines(document)])

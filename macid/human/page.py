@@ -150,6 +150,24 @@ def _plots(document):
         axes.set(ylabel="flow [1/m/s], speed [m/s]")
         axes.legend(frameon=False)
         plots.append((_png(figure), "Flows through exits, and speeds where two ways meet"))
+    return plots + (_knob_plots(document["knob"]) if "knob" in document else [])
+
+
+def _knob_plots(knob):
+    """[(PNG, caption), ...] of what the LCF does; each seed a line."""
+    plots = []
+    for name, label, caption in (
+        ("touch", "time touching [%]", "How much a crowd touches in which everybody has the same LCF"),
+        ("way", "own share of the sidesteps", "Who gives way: two people meet, and the other one's LCF is 0"),
+    ):
+        figure, axes = _figure()
+        for (where, rows), colour in zip(knob[name].items(), (_PEOPLE, _MODEL), strict=True):
+            for number, row in enumerate(rows):
+                values = [np.nan if value is None else value for value in row]
+                axes.plot(knob["lcf"], values, "o-", color=colour, label=None if number else where, markersize=4)
+        axes.set(xlabel="LCF", ylabel=label)
+        axes.legend(frameon=False)
+        plots.append((_png(figure), caption))
     return plots
 
 

@@ -35,6 +35,7 @@ class Cast(NamedTuple):
     speed: np.ndarray | None = None  #: (P,) preferred [m/s]; None: the model's own
     walk: np.ndarray | None = None  #: (T, P, 2) [m], every STEP: of people who are moved along it; NaN: by the model
     group: np.ndarray | None = None  #: (P,) int, as in macid.state.Traits; None: everybody walks alone
+    lcf: np.ndarray | None = None  #: (P,); None: drawn from the Body's range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +90,8 @@ class Stage:
         self._walk = self._walks()
         self._group = None if casts[0].group is None else self._stacked("group").astype(int)
         self._speed = None if casts[0].speed is None else self._stacked("speed")
-        self._lcf = jnp.asarray(rng.uniform(*body.lcf, (len(casts), self.people)), jnp.float32)
+        drawn = jnp.asarray(rng.uniform(*body.lcf, (len(casts), self.people)), jnp.float32)
+        self._lcf = drawn if casts[0].lcf is None else self._stacked("lcf")
         self._away = jnp.asarray(parking_place(np.arange(self.bodies)), jnp.float32)
 
     def play(self, sample: float) -> list[np.ndarray]:

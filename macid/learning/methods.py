@@ -94,7 +94,7 @@ METHODS = {
             coordination=trigonometric,
         ),
         Method("macid-touch", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33), coordination=considerate, shared=cost_of_touch),
-        Method("macid-human", lcf=(-2.0, 2.0), in_scenes=True),
+        Method("macid-human", lcf=(-2.0, 2.0), test_lcf=(0.67, 1.33), in_scenes=True),
     )
 }
 #: Those that learn on a level, with the first observation: the tables compare these.

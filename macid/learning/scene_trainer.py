@@ -6,6 +6,10 @@ through the person's own decisions alone, and so each learns its best answer to 
 are those of the physics engine; on the way back, a body is taken to follow its command (a straight-through gradient),
 which holds but for contacts.
 
+A rollout is short, half a second: what a course leads to is in its costs, since a collision course costs before the
+collision. So there are many updates, which is what teaches anticipation: with rollouts of 2 s people learned to brake
+before each other, and little else, from as many agent-steps.
+
 What a person wants, per second (`costs`): to walk at its preferred speed to its goal; not to change its velocity; and,
 with the weight 1 + care LCF, not to come close to a collision and not to touch. A collision course costs both people
 the same, so that the LCF says how much the others' costs count beside one's own, which is eq. 2's role.
@@ -47,17 +51,18 @@ class SceneConfig:
     speeds: tuple[float, float, float, float] = (*HUMAN_SPEED, *HUMAN_RANGE)  # preferred: mean, SD, least, most [m/s]
     care: float = 0.5  # how much an LCF of 1 adds to the weight of others' costs
     noise: float = 0.1  # in the actions, so that people see more than one course
-    learning_rate: float = 1.5e-3
-    final_learning_rate: float = 7.5e-5
+    learning_rate: float = 3e-3
+    final_learning_rate: float = 1e-4
     most_gradient: float = 1.0  # of a person's cost, after its state at a decision
-    pace: float = 2.0  # of the squared difference of the velocity from the preferred one, in its share
+    pace: float = 2.0  # of the squared difference of the speed ahead from the preferred one, in its share
+    aside: float = 2.0  # of the squared speed aside, in the preferred one's share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 0.6  # of the energy of collision courses
-    reach: float = 0.0  # by which bodies are widened there [m]
-    blur: float = 0.1  # by how much two bodies that just miss each other still count [m]
-    fade: float = 3.0  # with which a later collision costs less [s]
+    meet: float = 1.05  # of the energy of collision courses
+    crowding: float = 2.0  # number of people near by that halves the weight of collision courses
+    reach: float = 0.25  # by how much two bodies that miss each other still count [m]
+    fade: float = 3.5  # with which a later collision costs less [s]
     touch: float = 2.0  # of bodies and walls that are touched
-    headway: float = 0.3  # of the squared room that is missing behind a person who walks ahead [m2]
+    headway: float = 0.95  # of the room that is missing behind a person who walks ahead [m]
     headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 
@@ -102,11 +107,11 @@ def collision_energy(position: Array, velocity: Array, reach: Array, config: Sce
     along = jnp.sum(position * velocity, axis=-1)
     closest_time = jnp.clip(-along / squared, 0.0, 8.0)
     closest = jnp.sqrt(jnp.sum((position + velocity * closest_time[..., None]) ** 2, axis=-1) + 1e-6)
-    reach = reach + config.reach
     half_chord = jnp.sqrt(jnp.maximum(reach**2 - closest**2, 0.0) + 1e-4) / jnp.sqrt(squared)
     tau = jnp.maximum(closest_time - half_chord, 0.0)
     energy = jnp.exp(-tau / config.fade) / (tau + 0.35) ** 2
-    return jnp.where(along < 0, jax.nn.sigmoid((reach - closest) / config.blur) * energy, 0.0)
+    aimed = jnp.clip(1.0 - closest / (reach + config.reach), 0.0, 1.0)
+    return jnp.where(along < 0, 2.0 * aimed * energy, 0.0)
 
 
 def costs(
@@ -128,6 +133,8 @@ def costs(
     distance = jnp.sqrt(jnp.sum(position**2, axis=-1) + 1e-6)
     energy = collision_energy(position, velocity, reach, config)
     energy = jnp.where(together | (distance > encounters.PEOPLE_RANGE), 0.0, energy)
+    near = jnp.sum(jnp.where(together, 0.0, jax.nn.sigmoid((_NEAR - distance) / 0.2)), axis=-1)
+    patience = _HOLD(1.0 / (1.0 + near / config.crowding))
     overlap = jnp.where(itself, 0.0, _near(distance - reach))
     wall = jnp.min(geometry.point_box_distance(after.position, boxes[..., None, :, :]), axis=-1) - traits.radius
     beyond = jnp.clip(distance - 1.0, 0.0, 3.0)
@@ -138,17 +145,19 @@ def costs(
     same_way = jnp.sum(others[1][..., None, :, :] * heading[..., :, None, :], axis=-1) > -0.2
     missing = config.headway_time * speed[..., None] - (in_front[..., 0] - reach)
     missing = jnp.where(~itself & same_way & (in_front[..., 0] > 0), jnp.clip(missing, 0.0, 0.6), 0.0)
-    wanted = after.velocity / traits.preferred_speed[..., None] - _HOLD(ahead)
+    shares = geometry.to_frame(after.velocity, _HOLD(ahead)) / traits.preferred_speed[..., None]
     return {
-        "pace": jnp.sum(wanted**2, axis=-1),
+        "pace": (shares[..., 0] - 1.0) ** 2,
+        "aside": shares[..., 1] ** 2,
         "change": jnp.sum((after.velocity - before.velocity) ** 2, axis=-1) / period**2,
-        "meet": jnp.sum(jnp.minimum(energy, _MOST_ENERGY), axis=-1),
-        "headway": jnp.sum(aside * missing**2, axis=-1),
+        "meet": patience * jnp.sum(jnp.minimum(energy, _MOST_ENERGY), axis=-1),
+        "headway": jnp.sum(aside * missing, axis=-1),
         "touch": jnp.sum(overlap, axis=-1) + _near(wall),
         "apart": jnp.sum(companions * beyond, axis=-1) / jnp.maximum(jnp.sum(companions, axis=-1), 1),
     }
 
 
+_NEAR = 1.8  # within which people are near by [m]
 _TOUCHING = 0.06  # gap at which touching begins to cost [m]
 _MOST_ENERGY = 6.0  # of a collision course
 
@@ -170,6 +179,8 @@ class SceneWorlds:
         self.substeps = physics_steps(config.period)
         drawn = scenes.draw(which, rng, _CROWDS, learned.radius, learned.companions)
         self._drawn = jax.tree.map(jnp.asarray, drawn)
+        places = np.empty((0, 2)) if which.places is None else which.places
+        self._ways = jnp.asarray(which.ways, jnp.float32), jnp.asarray(places, jnp.float32)
 
     def begin(self, key: Array, lcf: tuple[float, float]) -> SceneWalk:
         """A new episode in every world; LCFs from the range `lcf`."""
@@ -232,10 +243,12 @@ class SceneWorlds:
                 velocity=walked.velocity + change,
                 traits=walk.traits,
             )
-            cost = costs(own, after, ahead, boxes, self.period, config)
+            along = scenes.ahead(*self._ways, gate, _HOLD(own.position), goals)
+            cost = costs(own, after, along, boxes, self.period, config)
             social = config.meet * cost["meet"] + config.touch * cost["touch"]
             total = (
                 config.pace * cost["pace"]
+                + config.aside * cost["aside"]
                 + config.change * cost["change"]
                 + config.apart * cost["apart"]
                 + config.headway * cost["headway"]

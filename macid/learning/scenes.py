@@ -11,6 +11,7 @@ through one. So densities stay as they were drawn, for as long as an episode las
 | ring | a corridor of 2 m in a square ring, everybody the same way | 10 to 120 | 0.2 to 2.2 |
 | exits | two rooms with two doors, 0.9 and 1.5 m: through one, back through the other | 10 to 64 | 0.1 to 0.8 |
 | bottleneck | a corridor of 4 m that narrows to 1.6 m, both ways | 6 to 40 | 0.1 to 0.5 |
+| boxes | a square with nine boxes; goals behind them, of which nobody tells the way | 8 to 30 | 0.03 to 0.12 |
 
 A gate is a row (x, y, direction x, direction y, half width) [m]. A person heads for the point of the gate that lies
 nearest, half a metre beyond it, and is through when it has crossed the gate's line. A gate of half width 0 is a place,
@@ -18,23 +19,29 @@ reached within 0.5 m.
 """
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import numpy as np
 
 from macid.geometry import Array, norm, point_box_distance
-from macid.layout import Layout, NoFreeSpace
+from macid.layout import Layout, NoFreeSpace, clearance
+from macid.routing import Router
 from macid.state import GOAL_RADIUS
 
 BEYOND = 0.5  # a gate's goal lies behind its line [m]
 _SHOULDER = 0.25  # people keep it from a gate's ends [m]
 _TRIES = 2000
+_CELL = 0.5  # side of a cell that knows the ways [m]
+_BODY = 0.2  # radius of a person for whom the ways are [m]
+_NEAR_PLACE = 1.5  # of a place: goals of companions lie beside it [m]
 
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
     """A scene's map and loops. number: people at most. loops: (L, G, 5) gates. starts: for each loop and gate the box
-    (x, y, half x, half y) in which people begin who head for it: (L, G, 4)."""
+    (x, y, half x, half y) in which people begin who head for it: (L, G, 4). places: (P, 2) [m], from which goals are
+    drawn; None: anywhere on the map."""
 
     name: str
     layout: Layout
@@ -42,6 +49,30 @@ class Scene:
     fewest: int
     loops: np.ndarray
     starts: np.ndarray
+    places: np.ndarray | None = None
+
+    @functools.cached_property
+    def ways(self) -> np.ndarray:
+        """Unit vectors along a shortest way to each of the places, from each of the map's cells of _CELL: (P, N, N, 2),
+        a row for each y; 0 where it leads straight there. Where nobody can stand, they are those of the nearest cell
+        where one can."""
+        places = np.empty((0, 2)) if self.places is None else self.places
+        axis = np.arange(_CELL / 2, self.layout.size, _CELL) - self.layout.size / 2
+        cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        along = np.zeros((len(places), *cells.shape))
+        free = np.flatnonzero(clearance(cells, self.layout.boxes) > _BODY)
+        nearest = free[norm(cells[:, None] - cells[free]).argmin(axis=-1)] if len(places) else free
+        router = Router(self.layout, _BODY + 0.15)  # ways with some room
+        for number, place in enumerate(places):
+            found = router.paths(cells[free], np.tile(place, (len(free), 1)))
+            for cell, way in zip(free, found, strict=True):
+                beyond = norm(way - cells[cell]) > _CELL
+                corner = int(beyond.argmax()) if beyond.any() else len(way) - 1
+                if corner < len(way) - 1:
+                    step = way[corner] - cells[cell]
+                    along[number, cell] = step / norm(step)
+            along[number] = along[number, nearest]
+        return along.reshape(len(places), len(axis), len(axis), 2)
 
 
 class Drawn(NamedTuple):
@@ -170,7 +201,33 @@ def _bottleneck():
     )
 
 
-SCENES = {scene.name: scene for scene in (_open(), _crossing(), _two_ways(), _ring(), _exits(), _bottleneck())}
+def _boxes():
+    half = 8.0
+    rows = [
+        [-4.5, 4.0, 1.2, 0.8, 0.3],
+        [0.5, 4.8, 0.6, 0.6, 0.8],
+        [5.0, 3.5, 0.8, 1.6, 0.0],
+        [-5.0, -1.0, 0.7, 1.3, 0.5],
+        [-0.5, 0.0, 1.5, 0.5, -0.4],
+        [4.2, -1.5, 0.5, 0.5, 0.0],
+        [-3.5, -5.0, 1.6, 0.4, 0.0],
+        [1.5, -4.8, 1.0, 1.0, 0.6],
+        [5.5, -5.5, 0.6, 0.9, -0.3],
+    ]
+    layout = Layout(2 * half, np.array(rows), name="boxes")
+    axis = np.arange(-half + 1.0, half, 1.0)
+    places = []
+    for place in np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2):
+        apart = norm(place - np.array(places)).min() if places else np.inf
+        if apart >= 2 * _NEAR_PLACE and clearance(place, layout.boxes) >= 0.8:
+            places.append(place)
+    loops = np.tile(np.array([0.0, 0.0, 1.0, 0.0, 0.0]), (1, 12, 1))
+    starts = np.tile(np.array(_region(-half, half, -half, half)), (1, 12, 1))
+    return Scene("boxes", layout, 30, 8, loops, starts, np.array(places))
+
+
+_ALL = (_open(), _crossing(), _two_ways(), _ring(), _exits(), _bottleneck(), _boxes())
+SCENES = {scene.name: scene for scene in _ALL}
 
 
 def lonely_place(index: Array) -> np.ndarray:
@@ -222,14 +279,20 @@ def _draw_one(scene, rng, radius, companions):
     anywhere = not scene.loops[..., 4].any()  # its gates are places, drawn for each person
     if anywhere:
         half = scene.layout.size / 2 - 0.7
-        targets = rng.uniform(-half, half, (number, gates, 2))
+
+        def somewhere(shape):
+            if scene.places is None:
+                return rng.uniform(-half, half, (*shape, 2))
+            return scene.places[rng.integers(len(scene.places), size=shape)]
+
+        targets = somewhere((number, gates))
         for step in range(gates):  # each goal at least 6 m from the one before
             before = position if step == 0 else targets[:, step - 1]
             for _ in range(_TRIES):
                 near = norm(targets[:, step] - before) < 6.0
                 if not near.any():
                     break
-                targets[near, step] = rng.uniform(-half, half, (int(near.sum()), 2))
+                targets[near, step] = somewhere((int(near.sum()),))
         beside = position - position[group]  # companions' goals lie side by side, as they stand
         targets = np.clip(targets[group] + beside[:, None], -half, half)
         loops_of[:, :, :2] = targets
@@ -278,6 +341,22 @@ def goal(gate: Array, position: Array, half_body: float = _SHOULDER) -> Array:
     lateral = xp.minimum(xp.maximum(lateral, -room), room)
     beyond = xp.where(half > 0, BEYOND, 0.0)
     return centre + lateral[..., None] * aside + beyond[..., None] * direction
+
+
+def ahead(ways: Array, places: Array, gate: Array, position: Array, goals: Array) -> Array:
+    """Unit vectors (..., 2) along the ways of people at `position` (..., 2) [m] to `goals` (..., 2), points of their
+    `gate` (..., 5): as a Scene's `ways` (P, N, N, 2) to `places` (P, 2) lead, and straight where there is none."""
+    xp = position.__array_namespace__()
+    step = goals - position
+    straight = step / xp.maximum(norm(step), 1e-6)[..., None]
+    if not len(places):
+        return straight
+    away = norm(gate[..., None, :2] - places)
+    cells = ways.shape[1]
+    column, row = (xp.floor(position[..., axis] / _CELL + cells / 2).astype(int) for axis in (0, 1))
+    known = (column >= 0) & (column < cells) & (row >= 0) & (row < cells) & (away.min(axis=-1) < _NEAR_PLACE)
+    way = ways[away.argmin(axis=-1), row.clip(0, cells - 1), column.clip(0, cells - 1)]
+    return xp.where((known & (norm(way) > 0.5))[..., None], way, straight)
 
 
 def passed(gate: Array, position: Array) -> Array:

@@ -92,9 +92,9 @@ PRESETS = {
         "inputs": ENCOUNTERS,
         "period": 0.1,
         "nworld": 1,
-        "rollout": 20,
-        "episode": 20,
-        "agent_steps": 10_000_000,
+        "rollout": 5,
+        "episode": 80,
+        "agent_steps": 3_248_000,  # 1,600 updates
     },
 }
 

@@ -30,6 +30,7 @@ _SETTLES = 0.4  # a slider that needs a new world has rested so long [s]
 _TRAIL = 4.0  # of people's paths [s]
 _CALM = 0.12  # the share of its lag that a camera behind somebody turns with each frame
 _DOT = 0.12  # half a side of what marks people's goals [m]
+_ASIDE = 0.2  # share of a map's side that its camera stands to the right, where the controls cover the picture
 _SKY = (226, 235, 244)
 NEAR = (0.0, -5.5, 3.2), (0.0, 1.5, 0.6)  # a camera that follows, and what it looks at, from whom it follows [m]
 CAMERAS = ("behind", "beside", "map")  # what a camera follows: place and heading, the place, nothing
@@ -472,7 +473,8 @@ class Page:
         camera = self.client.camera
         if chosen == "map":
             side = 2 * float(self.world.boxes[0, 2:4].max())
-            camera.position, camera.look_at = (0.0, -0.6 * side, 0.8 * side), (0.0, 0.0, 0.0)
+            aside = _ASIDE * side
+            camera.position, camera.look_at = (aside, -0.6 * side, 0.8 * side), (aside, 0.0, 0.0)
         else:
             camera.position, camera.look_at = NEAR
         self._stale = True

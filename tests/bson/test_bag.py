@@ -1,6 +1,7 @@
 """Recorded episodes: each field of each message is the episode's, as two readers find it, and the score is the same."""
 
 import dataclasses
+import json
 import math
 import pathlib
 import shutil
@@ -432,19 +433,44 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path, path, capsys, monkeypatc
         text = (folder / "metadata.yaml").read_text()
         (folder / "metadata.yaml").write_text(text.replace('"format": 1', '"format": 2'))
 
+    def edited(folder):
+        text = (folder / "metadata.yaml").read_text()
+        (folder / "metadata.yaml").write_text(text.replace('"agent": "goal"', '"agent": "vfh"'))
+
+    def unsigned(key, value):
+        """As of an earlier version, without digests, and by another hand."""
+
+        def change(folder):
+            content = yaml.safe_load((folder / "metadata.yaml").read_text())
+            custom = content["rosbag2_bagfile_information"]["custom_data"]
+            about = {**json.loads(custom["bson"]), key: value}
+            custom["bson"] = json.dumps({k: v for k, v in about.items() if k not in ("digest", "messages")})
+            (folder / "metadata.yaml").write_text(yaml.safe_dump(content))
+
+        return change
+
+    assert "other metadata" in copied("edited", edited)
+    assert "key 'period': a number above 0" in copied("still", unsigned("period", 0.0))
+    assert "different numbers of people: 2, 3" in copied("fewer", unsigned("lcf", [0.0, 0.0]))
     assert "'cut'" in (line := copied("cut", cut)) and "cut short" in line
     assert "no episode" in copied("foreign", foreign) and "format 1" in copied("newer", newer)
     assert "cut short" in copied("gone", lambda folder: (folder / "seed-7.mcap").unlink())
     assert "cut short" in copied("garbled", lambda folder: (folder / "metadata.yaml").write_text("[["))
     assert "no bag" in refused(capsys, "replay", "nothing")
+    shutil.copytree(path, "several/seed-7")
+    shutil.copytree(path, "several/seed-8")
+    pathlib.Path("several/seed-8/metadata.yaml").unlink()  # as of a recorder that was killed
+    for given in ("several", "several/seed-8"):
+        assert "seed-8' has no metadata.yaml: it was cut short" in refused(capsys, "replay", given)
     assert "two bags" in refused(capsys, "replay", str(path), str(path))
 
 
 def test_a_topic_of_another_type_or_with_messages_missing_is_refused(tmp_path, path, monkeypatch):
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    def filtered(name, keep, kinds=None):
-        """A copy of the bag without what `keep` refuses, with the other types `kinds`."""
+    def filtered(name, keep, kinds=None, change=None):
+        """A copy of the bag without what `keep` refuses, with the other types `kinds`, and messages of the topic
+        change[0] changed by change[1]."""
         target = tmp_path / name
         with Reader(path) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             for key, value in reader.storage.metadata.custom.items():
@@ -455,18 +481,28 @@ def test_a_topic_of_another_type_or_with_messages_missing_is_refused(tmp_path, p
                 if keep(one.topic, None)
             }
             for connection, time, data in reader.messages():
+                if change and connection.topic == change[0]:
+                    message = STORE.deserialize_cdr(data, connection.msgtype)
+                    change[1](message)
+                    data = STORE.serialize_cdr(message, connection.msgtype)
                 if keep(connection.topic, time):
                     writer.write(there[connection.topic], time, data)
         return target
+
+    def changed(topic, change):
+        return filtered(f"changed{topic.replace('/', '-')}", lambda topic, _: True, None, (topic, change))
 
     cases = [
         (filtered("typed", lambda topic, _: True, {"/odom": "sensor_msgs/msg/Imu"}), "sensor_msgs/msg/Imu on /odom"),
         (filtered("poor", lambda topic, _: topic != "/episode"), "no topic /episode"),
         (filtered("early", lambda topic, time: time is None or time < 500_000_000), "5 of 10 messages of"),
+        (changed("/odom", lambda said: setattr(said.pose.pose.position, "x", 1.0)), "other messages on /odom"),
+        (changed("/cmd_vel", lambda said: setattr(said.twist.linear, "x", 1.0)), "other messages on /cmd_vel"),
     ]
     for target, said in cases:
         with pytest.raises(UsageError, match=said):
             bag.read(target)
+    assert bag.read(filtered("small", lambda topic, _: topic in bag._SCORED))[1].seed == 7
 
 
 def test_a_missing_extra_and_a_full_folder_are_refused_before_anything_is_played(tmp_path, capsys, monkeypatch):
@@ -491,6 +527,14 @@ def test_an_agent_that_fails_leaves_no_bag(tmp_path, capsys, monkeypatch):
     )
     assert "ZeroDivisionError" in refused(capsys, "record", "--agent", "late.py", *SETS, "--out", "new")
     assert [file.name for file in tmp_path.iterdir() if file.name != "__pycache__"] == ["late.py"]
+
+
+def test_what_a_killed_recorder_left_goes_with_the_next_recording_and_nothing_else_does(tmp_path):
+    for name in (".seed-3.381def3a/seed-3/seed-3.mcap", ".seed-4.381def3a/seed-4.mcap", ".mine.381def3a/seed-3.mcap"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"half a bag")
+    record(tmp_path, CONFIG.replace(horizon=1), (Imu(),))
+    assert {path.name for path in tmp_path.iterdir()} == {"seed-7", ".mine.381def3a"}
 
 
 def test_a_sensor_without_a_message_is_told(tmp_path, capsys):

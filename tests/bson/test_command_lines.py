@@ -68,6 +68,8 @@ BSON = {
                "--out": ["out", "new/out"]},
     "compare": {"--out": ["out"]},
     "leaderboard": {"--readme": ["page.md"]},
+    "verify": {"--agent": ["stop"], "--share": ["0.5"], "--seed": ["0"], "--suite": ["smoke", "held-out"],
+               "--passphrase-file": ["page.md"], "--out": ["out.json"]},
     "train": {"--algo": ["ppo", "bc"], "--steps": ["64", "1e3"], "--worlds": ["1", "2"], "--seed": ["0"],
         "--out": ["runs"],
               "--resume": None, "--tensorboard": None},
@@ -116,7 +118,7 @@ def command_lines(draw, commands, program):
         for _ in range(draw(st.integers(0, 2))):
             value = draw(st.one_of(st.sampled_from(VALUES), st.sampled_from(BROKEN), st.text(max_size=5)))
             words += ["--set", f"{draw(st.sampled_from(KEYS))}={value}"]
-    if command in ("compare", "leaderboard", "replay"):
+    if command in ("compare", "leaderboard", "replay", "verify"):
         words += draw(
             st.lists(st.sampled_from(["folder", "results.json", "junk.json", *BROKEN]), min_size=1, max_size=3)
         )

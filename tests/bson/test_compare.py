@@ -10,6 +10,7 @@ from bson.evaluation.metrics import summarise
 from bson.evaluation.results import Results
 from bson.reporting.compare import (
     LEAST_PAIRS,
+    Group,
     check_comparable,
     compare,
     differences,
@@ -311,3 +312,58 @@ def test_what_is_no_readme_is_told_in_one_line(tmp_path, content):
     with pytest.raises(ValueError, match="README.md") as caught:
         fill_readme(path, "table")
     assert "\n" not in str(caught.value)
+
+
+def _trained(scores):
+    """Results of several trainings of one agent, {seed: score} each."""
+    return tuple(_scores("tac", each) for each in scores)
+
+
+def test_several_trainings_are_one_column_with_an_interval_over_them():
+    easy = {seed: 50.0 + seed for seed in range(8)}
+    worse = {seed: score - 30.0 for seed, score in easy.items()}
+    trained = Group(_trained([easy, worse, easy, worse]), "tac")
+    found = compare([trained, _scores("vfh", easy)])
+    tac, vfh = found["runs"]
+    assert (tac["name"], tac["training_seeds"], vfh["training_seeds"]) == ("tac", 4, 1)
+    row, alone = tac["summary"]["SNS"], vfh["summary"]["SNS"]
+    assert row["mean"] == pytest.approx(alone["mean"] - 15.0) and row["count"] == 32
+    assert row["high"] - row["low"] > 4 * (alone["high"] - alone["low"])
+    difference = vfh["difference"]["SNS"]
+    assert difference["mean"] == pytest.approx(15.0) and not difference["differs"]  # 2 in 16 draws have no bad training
+    assert any("tac: 4 training seeds" in note for note in found["notes"])
+    pair = found["improvement"][0]
+    assert (pair["of"], pair["over"]) == (1, 0) and pair["SNS"]["paired"]["value"] == pytest.approx(0.75)
+    assert pair["SNS"]["paired"]["ties"] == pytest.approx(0.5) and not pair["SNS"]["differs"]
+
+
+def test_a_group_of_one_is_the_run_itself(runs):
+    alone, grouped = compare(runs), compare([Group((run,)) for run in runs])
+    assert alone == grouped
+
+
+def test_pairs_are_judged_by_what_is_better(check_page):
+    rows = [{("all", seed): {"SNS": 10.0 * k + seed, "Coll": 5.0 - k} for seed in range(9)} for k in range(3)]
+    content = compare([_run(name, each) for name, each in zip("abc", rows, strict=True)])
+    told = [(pair["of"], pair["over"]) for pair in content["improvement"]]
+    assert told == [(1, 0), (2, 0), (2, 1)]
+    for pair in content["improvement"]:
+        for metric in ("SNS", "Coll"):
+            assert pair[metric]["paired"]["value"] == 1.0 and pair[metric]["differs"]
+    means = [run["interquartile_mean"]["SNS"]["value"] for run in content["runs"]]
+    assert means == pytest.approx([4.0, 14.0, 24.0])
+    page, text = make_page(content), format_comparison(content)
+    check_page(page)
+    assert text.count("1.00 [1.00, 1.00] *") == page.count("1.00 [1.00, 1.00] *") == 6 and "c over b" in text
+
+
+def test_groups_are_named_on_the_command_line(folders, tmp_path, capsys):
+    stop, goal = folders / "stop", folders / "goal"
+    words = [f"both={stop},{goal}", str(goal), "--out", str(tmp_path / "out")]
+    assert cli.main(["compare", *words]) == 0
+    content = json.loads((tmp_path / "out" / "compare.json").read_text())
+    assert [(run["name"], run["training_seeds"]) for run in content["runs"]] == [("both", 2), ("goal", 1)]
+    assert "over training seeds and episodes" in (tmp_path / "out" / "compare.html").read_text()
+    for wrong in (f"={stop}", f"both={stop},", "both="):
+        assert cli.main(["compare", wrong, str(goal)]) == 2
+        assert "NAME=RESULTS,RESULTS" in capsys.readouterr().err

@@ -121,9 +121,12 @@ def test_in_lockstep_a_suite_scores_exactly_as_without_ros_and_says_what_a_bag_s
     latched = {name for name, topic in topics.items() if topic.latched}
     with (
         Peer({}, {name: topic.kind for name, topic in topics.items()}, latched) as peer,
-        running("deploy", "--agent", "vfh", "--goal-frame", "map", "--timeout", "20") as deployed,
         running("evaluate", "--agent", "ros", *task, "--videos", "0", "--out", "scored", cwd=tmp_path) as scoring,
+        contextlib.ExitStack() as driving,
     ):
+        # This node is no part of the lockstep, so it has to be there before the node that drives.
+        until(lambda: all(peer.heard[name] for name in topics if name != "/cmd_vel") or scoring.poll(), 400.0)
+        deployed = driving.enter_context(running("deploy", "--agent", "vfh", "--goal-frame", "map", "--timeout", "20"))
         offered = {}
         while scoring.poll() is None:
             for name in topics:
@@ -182,12 +185,12 @@ def test_killing_either_side_ends_the_other_in_one_line(killed, tmp_path):
 
 
 @contextlib.contextmanager
-def deployed(agent):
+def deployed(agent, **more):
     """`bson deploy` in another thread of this process, which ends by itself once nobody publishes scans."""
 
     def drive():
         with pytest.raises(AgentError, match="/(scan|odom|imu/data)"):
-            benchmark.deploy(agent, goal_frames=["map"], timeout=20.0)
+            benchmark.deploy(agent, goal_frames=["map"], timeout=20.0, **more)
 
     thread = threading.Thread(target=drive)
     thread.start()
@@ -204,6 +207,14 @@ def test_bson_ros_plays_a_suite_in_lockstep_and_tells_each_score():
         f"seed {row['seed']}: SNS {row['SNS']:.1f}, timed out after 0.8 s, {row['Coll']:.0f} collisions"
         for row in wanted.content["episodes"]
     ]
+
+
+def test_in_lockstep_commands_without_stamps_answer_the_state_that_they_were_given_for():
+    config = {**SETS, "horizon": 8}
+    wanted = benchmark.evaluate("vfh", "smoke", episodes=3, overrides=config, quiet=True)
+    with deployed("vfh", stamped=False):
+        found = benchmark.evaluate("ros", "smoke", episodes=3, overrides=config, stamped=False, quiet=True)
+    assert found.rows == wanted.rows
 
 
 def test_in_real_time_an_evaluation_takes_the_time_that_it_takes():
@@ -251,6 +262,33 @@ def test_a_command_that_is_no_number_stops_the_robot_and_a_late_one_is_not_obeye
         assert node.wait().tolist() == [0.0, 0.0]
     told = capsys.readouterr().err
     assert "a command for 1.00 s came at 1.10 s: not obeyed" in told and "not finite: the robot stops" in told
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_who_drives_gets_the_first_state_though_it_commands_before_it_listens(lockstep):
+    with world(lockstep=lockstep) as (node, session), Peer(CMD, {}) as peer:
+        over, odometry = threading.Event(), []
+
+        def drive():
+            for count in range(10_000):
+                if count == 5:
+                    kind = ros.kind_of("nav_msgs/msg/Odometry")
+                    peer.wire.node.create_subscription(kind, "/odom", odometry.append, quality(False))
+                peer.told["/cmd_vel"].publish(command(1.0))
+                if over.wait(0.02):
+                    return
+
+        driver = threading.Thread(target=drive)
+        driver.start()
+        try:
+            for _ in range(3):
+                session.step([0], node.wait()[None])
+                node.snap()
+            until(lambda: len({ros.stamp_of(message) for message in odometry}) >= 4)
+        finally:
+            over.set()
+            driver.join()
+        assert ros.stamp_of(odometry[0]) == 1_000_000_000
 
 
 def test_in_lockstep_a_command_that_stays_out_is_an_error_that_names_the_topic(monkeypatch):
@@ -523,6 +561,13 @@ def test_what_is_out_of_range_reads_as_a_world_reads_it():
     scan.ranges = ros.RosCarrier().numbers(np.array([np.inf, -np.inf, np.nan, 5.0, 50.0, 0.01], np.float32))
     lidar = Lidar2D(beams=6)
     assert ros_agent.reading_of(scan, lidar).tolist() == pytest.approx([30.0, 0.1, 30.0, 5.0, 30.0, 0.1])
+
+
+@pytest.mark.parametrize("domain", ["233", "-1", "one", "1.0"])
+def test_a_domain_that_there_is_not_is_told(domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(UsageError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"), ros.wire("peer"):
+        pass
 
 
 def test_agents_that_can_not_be_deployed_and_executors_that_can_not_wait_are_refused():

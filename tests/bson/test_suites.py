@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bson.evaluation.suites import load_suite, suite_names
+from bson.evaluation.suites import held_out, load_suite, suite_names
 from bson.task import TaskConfig, spawn
 from macid import assets
 
@@ -87,3 +87,41 @@ def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):
         cell = dataclasses.replace(scenarios.cells[0], config=TaskConfig(map=str(tmp_path / "frontal.toml")))
         found.append(dataclasses.replace(scenarios, cells=(cell,)).digest)
     assert found[0] != found[1]
+
+
+SECRET, OTHER = "correct horse battery", "wrong horse, battery"
+
+
+def test_held_out_seeds_follow_from_the_passphrase_alone():
+    suite, standard = held_out(SECRET), load_suite("standard")
+    assert load_suite("held-out", SECRET) == suite and held_out(OTHER).digest != suite.digest
+    assert suite.cells == standard.cells and suite.of_cells() == [list(seeds) for seeds in suite.apart]
+    assert [len(seeds) for seeds in suite.of_cells()] == [len(standard.seeds)] * 27
+    assert suite.of_cells(2) == [list(seeds[:2]) for seeds in suite.apart]
+    everything = [seed for name in (SECRET, OTHER) for seeds in held_out(name).of_cells() for seed in seeds]
+    assert len(set(everything)) == 2 * 270 and all(0 <= seed < 2**63 for seed in everything)
+    # frozen, as those of the other suites are: whoever changes the rule changes the exam of every round so far
+    assert suite.digest == "f8eae731d4b0"
+
+
+def test_held_out_seeds_are_in_no_set_of_another_suite():
+    """--seed S moves a suite's seeds by whole strides: the place within a stride tells them apart."""
+    stride = load_suite("paper").drawn(seed=1)[0] - load_suite("paper").drawn()[0]
+    others = {seed % stride for name in suite_names() for seed in load_suite(name).seeds}
+    held = {seed % stride for seeds in held_out(SECRET).of_cells() for seed in seeds}
+    assert not others & held and max(others) < stride / 2 <= min(held)
+
+
+def test_held_out_without_a_good_passphrase_is_refused():
+    with pytest.raises(ValueError, match="held-out.*passphrase.*--passphrase-file.*BSON_PASSPHRASE"):
+        load_suite("held-out")
+    for bad in ("", "too short", "x" * 1001, "two lines of text\nof which one"):
+        with pytest.raises(ValueError, match="16 to 1000 characters") as caught:
+            held_out(bad)
+        assert bad not in str(caught.value) or not bad
+    with pytest.raises(ValueError, match="'held-out' alone.*'paper'"):
+        load_suite("paper", SECRET)
+    with pytest.raises(ValueError, match="leave --seed out, not 3"):
+        held_out(SECRET).of_cells(seed=3)
+    with pytest.raises(ValueError, match="1 to 10 episodes"):
+        held_out(SECRET).of_cells(11)

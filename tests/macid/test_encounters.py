@@ -256,20 +256,3 @@ def test_a_policy_walks_people_through_the_engine_and_both_engines_agree(tmp_pat
         ends[name] = np.asarray(engine.read(state).position)
     assert ends["native"] == pytest.approx(ends["mjx"], abs=1e-3)
     assert (ends["native"] != np.float32(drawn.position[:, :number])).any()
-
-
-@pytest.mark.parametrize("name", sorted(scenes.SCENES))
-def test_a_scene_has_room_and_its_gates_lead_on(name):
-    which = scenes.SCENES[name]
-    drawn = scenes.draw(which, np.random.default_rng(3), 3, RADIUS, companions=0.5)
-    for position, gates, first, group in zip(*drawn, strict=True):
-        apart = np.linalg.norm(position[:, None] - position, axis=-1)
-        assert apart[~np.eye(len(position), dtype=bool)].min() >= 2 * RADIUS
-        here = np.abs(position).max(axis=-1) < which.layout.size
-        assert which.fewest <= here.sum() <= which.number
-        gate = gates[np.arange(len(first)), first]
-        leads = group == np.arange(len(group))
-        assert not scenes.passed(gate, position)[leads].any()
-        aim = scenes.goal(gate, position)
-        assert scenes.passed(gate[gate[:, 4] > 0], aim[gate[:, 4] > 0]).all()  # one who gets there is through
-        assert (group <= np.arange(len(group))).all()

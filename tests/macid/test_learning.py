@@ -522,7 +522,7 @@ def test_without_tensorboard_one_line_says_what_to_install(tmp_path, package):
 
 @pytest.mark.slow
 def test_people_learn_in_scenes_and_are_read_as_they_were_written(tmp_path):
-    short = preset("human", method="macid-human", agent_steps=3 * 20 * 376)
+    short = preset("human", method="macid-human", agent_steps=3 * 5 * 406)
     (whole,) = train(short, tmp_path / "whole", show=lambda line: None)
     assert short.name == "macid-human"
     read = load_policy(str(tmp_path / "whole" / "macid-human-0" / "policy.npz"))

@@ -3,18 +3,21 @@
 import pytest
 
 from macid.learning.curves import completed, plain
-from macid.learning.train import PRESETS, TrainConfig, preset
+from macid.learning.methods import get_method
+from macid.learning.train import PRESETS, preset
 from macid.policy import load_policy, policy_names
 
 
 @pytest.mark.parametrize("name", policy_names())
 def test_a_policy_has_the_name_of_its_method_preset_and_period(name):
     recipe = load_policy(name).recipe
-    have = completed(recipe, TrainConfig())
+    in_scenes = get_method(recipe["method"]).in_scenes
+    presets = [each for each in PRESETS if ("scenes" in PRESETS[each]) == in_scenes]
+    have = completed(recipe, preset(presets[0], method=recipe["method"]))
     fields = {field: have[field] for field in ("method", "level", "seed", "engine", "nworld", "period", "agent_steps")}
     of_this_recipe = [
         config.name
-        for config in (preset(each, **fields) for each in PRESETS if "scenes" not in PRESETS[each])
+        for config in (preset(each, **fields) for each in presets)
         if all(have[field] == value for field, value in plain(config).items())
     ]
     assert of_this_recipe == [recipe["name"]] and name == f"{recipe['name']}-{recipe['seed']}"

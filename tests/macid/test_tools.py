@@ -1,5 +1,6 @@
 """What tools/*.sh and the flags of tools/reproduce_*.py answer where they can't do what was asked."""
 
+import json
 import os
 import pathlib
 import shutil
@@ -94,5 +95,7 @@ def test_the_table_of_models_beside_people_goes_on_where_it_was(tmp_path):
         assert ran.returncode == 0, ran.stderr
         assert ran.stderr.count("human: standing") == expected
     table = (tmp_path / "out" / "human.md").read_text().splitlines()
-    assert [line.split("|")[1].strip() for line in table[2:]] == ["people", "standing", "standing"]
-    assert table[-1].split("|")[3].strip() == "0.2" and len(list((tmp_path / "out" / "rows").iterdir())) == 2
+    assert [line.split("|")[1].strip() for line in table[2:]] == ["*people*", "standing", "standing, 0.2 m"]
+    rows = json.loads((tmp_path / "out" / "human.json").read_text())
+    assert rows["standing, 0.2 m"]["radius"] == 0.2 and rows["standing"]["values"]["through18"] == [0.0]
+    assert len(list((tmp_path / "out" / "rows").iterdir())) == 2

@@ -1,0 +1,1 @@
+"""The parts of the command `bson`: each adds commands, and runs them."""
