@@ -55,19 +55,20 @@ class MppiConfig:
 
     acceleration: float = 3.25  # that the tyres give, in top speeds a second, for all shipped robots [1/s]
     turn_lag: float = 0.1  # time constant of the yaw rate
+    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns more sharply than commanded [m/s2]
 
     people: int = 24  # number of the nearest people who count
     person_room: float = 0.3  # a gap that is smaller costs
     person_growth: float = 0.2  # growth of that room for each second ahead [m/s]
     person_weight: float = 100.0  # of a touch [points/s]
+    give: float = 0.02  # a way that leads so far into people, beyond what they walk into the robot, does not come out
     patience: float = 1.2  # time constant with which what comes later counts less
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
     wall_room: float = 0.3  # a gap that is smaller by this much costs
     wall_weight: float = 100.0  # of a touch [points/s]
-    time_weight: float = 4.0  # [points/s]
-    length_weight: float = 1.5  # of way driven or to go [points/m]
+    time_weight: float = 6.0  # [points/s]
+    length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
-    change_weight: float = 0.0  # of changes of the commands [points for each top speed or rate]
 
     margin: float = 0.12  # beside the radius: the least distance between ways and walls where there is room
     comfort: float = 0.5  # further distance from walls within which a metre of way costs more
@@ -169,6 +170,13 @@ def _lookup(world, x, y):
     return i * PATCH + j, u - j, v - i
 
 
+def _nearest_node(world, x, y):
+    """The index of the patch's cell whose centre is nearest to each place."""
+    j, i = (jnp.clip(jnp.rint((at - low) / world.resolution), 0, PATCH - 1).astype(jnp.int32)
+            for at, low in ((x, world.origin[0]), (y, world.origin[1])))  # fmt: skip
+    return i * PATCH + j
+
+
 def _read(field, place):
     """Values of a field (PATCH * PATCH,) at places of `_lookup`."""
     index, u, v = place
@@ -196,23 +204,23 @@ def _guided(config):
     return speeds, angles, back, np.array(fixed, np.float32)
 
 
-def _rollout(world, lag, commands, guide=None):
+def _rollout(config, world, commands, guide=None):
     """Places x, y, yaws and speeds (T, N) under commands (T, N, 2); with `guide` the yaw rates of its sequences follow
     the field. Also gives the commands."""
     top_rate, acceleration, step = world.robot[1], world.robot[2], world.step
-    follow = jnp.minimum(1.0, step / lag)
+    follow = jnp.minimum(1.0, step / config.turn_lag)
 
     def advance(carried, given):
         x, y, yaw, v, w = carried
         command = given[0] if guide is None else given
         if guide is not None:
             command, now = given
-            place = _lookup(world, x, y)
-            index = place[0]
-            along = guide["heading"][index] + now
+            along = guide["heading"][_nearest_node(world, x, y)] + now
             rate = jnp.clip(_wrap(along - yaw) / guide["time"], -top_rate, top_rate)
             command = jnp.stack([command[:, 0], jnp.where(guide["is"], rate, command[:, 1])], axis=-1)
         new_v = v + jnp.clip(command[:, 0] - v, -acceleration * step, acceleration * step)
+        most = config.max_lateral_acceleration / jnp.maximum(jnp.abs(new_v), 1e-3)
+        command = jnp.stack([command[:, 0], jnp.clip(command[:, 1], -most, most)], axis=-1)
         new_w = w + follow * (command[:, 1] - w)
         middle = yaw + 0.5 * step * new_w
         way = 0.5 * step * (v + new_v)
@@ -225,24 +233,24 @@ def _rollout(world, lag, commands, guide=None):
     return jax.lax.scan(advance, start, given)[1]
 
 
-def _costs(config, world, x, y, yaw, v, commands):
+def _costs(config, world, x, y, yaw, v):
     """The costs (N,) of ways (T, N)."""
     c, step = config, world.step
-    half_length, half_width, radius = world.robot[3], world.robot[4], world.robot[5]
     times = step * jnp.arange(1, x.shape[0] + 1, dtype=jnp.float32)[:, None]
     before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), _arrived(world, x, y)[:-1]])
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
-    # people, seen from the robot's footprint
-    dx, dy = world.people[:, :, 0].T[:, None] - x[..., None], world.people[:, :, 1].T[:, None] - y[..., None]
-    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
-    ahead, aside = jnp.abs(cos * dx + sin * dy) - half_length, jnp.abs(cos * dy - sin * dx) - half_width
-    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
-    gap = jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
+    people = jnp.swapaxes(world.people, 0, 1)
+    gap = _gap(world, x, y, yaw, people)
+    still = jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1))
+    standing = _gap(world, still[0], still[1], still[2], people)
+    into = gap < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
+    least = jax.lax.cummin(jnp.where(into, gap, jnp.inf), axis=0)
+    gap = jnp.minimum(gap, least)  # no way leads through somebody
     risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
     cost = c.person_weight * jnp.sum(weight * risk, axis=0)
     place = _lookup(world, x, y)
-    clear = _read(world.clearance.ravel(), place) - radius - c.wall_gap
+    clear = _read(world.clearance.ravel(), place) - world.robot[5] - c.wall_gap
     cost += c.wall_weight * jnp.sum(weight * jnp.maximum(1.0 - clear / c.wall_room, 0.0) ** 2, axis=0)
     left = _read(world.way.ravel(), (place[0][-1], place[1][-1], place[2][-1]))
     left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - _arrived(world, x[-1], y[-1]))
@@ -251,6 +259,15 @@ def _costs(config, world, x, y, yaw, v, commands):
     cost += c.length_weight * (way + left)
     cost += c.back_weight * step * jnp.sum(jnp.maximum(-v, 0.0) * going, axis=0)
     return cost
+
+
+def _gap(world, x, y, yaw, people):
+    """The least gaps (T, N) [m] between the footprint at x, y, yaw (T, N) and `people` (T, K, 2)."""
+    dx, dy = people[:, None, :, 0] - x[..., None], people[:, None, :, 1] - y[..., None]
+    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
+    ahead, aside = jnp.abs(cos * dx + sin * dy) - world.robot[3], jnp.abs(cos * dy - sin * dx) - world.robot[4]
+    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
+    return jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
 
 
 def _arrived(world, x, y):
@@ -280,15 +297,14 @@ def _improved(config, world, plan, noise, spread):
     heading = jnp.arctan2(-dy, -dx).ravel()
     turn_time = jnp.maximum(c.turn_time, 1.25 * world.step)
     guide = {"is": is_guided, "angle": angle, "heading": heading, "time": turn_time}
-    *way, commands = _rollout(world, c.turn_lag, commands, guide)
-    costs = _costs(c, world, *way, commands)
+    x, y, yaw, v, commands = _rollout(c, world, commands, guide)
+    costs = _costs(c, world, x, y, yaw, v)
     best = jnp.argmin(costs)
     weights = jax.nn.softmax(-(costs - costs[best]) / c.temperature)
     mean = jnp.einsum("n,tnc->tc", weights, commands)
-    *way, both = _rollout(world, c.turn_lag, jnp.stack([mean, commands[:, best]], axis=1))
-    two = _costs(c, world, *way, both)
-    chosen = jnp.argmin(two)
-    return both[:, chosen], jnp.stack(way[:2], axis=-1)[:, chosen]
+    x, y, yaw, v, both = _rollout(c, world, jnp.stack([mean, commands[:, best]], axis=1))
+    chosen = jnp.argmin(_costs(c, world, x, y, yaw, v))
+    return both[:, chosen], jnp.stack([x, y], axis=-1)[:, chosen]
 
 
 class Mppi:

@@ -75,8 +75,11 @@ class _OwnMap(Controller):
     """A Controller whose map changes all the time: the far field is coarse, the patch around the robot is solved anew
     at each decision."""
 
+    config: MppiLocalConfig
+
     def set_map(self, grid: Grid, goal: np.ndarray) -> None:
-        clear = (ndimage.distance_transform_edt(~grid.occupied) - 0.5) * grid.resolution
+        """Takes the map as it is known by now, and the goal."""
+        clear = (np.asarray(ndimage.distance_transform_edt(~grid.occupied)) - 0.5) * grid.resolution
         if not grid.occupied.any():
             clear = np.full(grid.shape, 100.0)
         rate = self.rate(grid.occupied, clear)

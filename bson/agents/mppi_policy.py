@@ -55,7 +55,7 @@ class MppiPolicy(Mppi):
         view, c, times = self._view, self.config, self._controller.times
         if self._boxes is None:
             self._boxes = occupied_boxes(view.map)
-        rate = self._turned(view.people_velocity)
+        yaw, rate = self._turned(view.people_velocity)
         place, velocity = view.people[near], view.people_velocity[near]
         if not len(near):
             return np.zeros((0, len(times), 2))
@@ -63,7 +63,7 @@ class MppiPolicy(Mppi):
         state = np.column_stack([place, velocity])
         state = nearest_rows(state, np.arange(len(near)), count).astype(np.float32)
         facing = np.zeros((count, 2), np.float32)
-        facing[: len(near)] = np.column_stack([self._yaw, rate])[near]
+        facing[: len(near)] = np.column_stack([yaw, rate])[near]
         walls = nearest_rows(self._boxes, geometry.point_box_distance(view.pose[:2], self._boxes), c.boxes)
         robot = self._robot(_STEP * np.arange(c.decisions + 1))
         foreseen = _foresee(
@@ -80,12 +80,12 @@ class MppiPolicy(Mppi):
         return ways
 
     def _turned(self, velocity):
-        """Takes everybody's yaw from their `velocity` (K, 2), or, of people who stand, from where they last walked;
-        returns the yaw rates (K,)."""
+        """Everybody's yaw (K,), from their `velocity` (K, 2) or, of people who stand, from where they last walked, and
+        their yaw rates (K,)."""
         yaw = np.arctan2(velocity[:, 1], velocity[:, 0])
         before = yaw if self._yaw is None else self._yaw
-        self._yaw = np.where(np.hypot(*velocity.T) > STALLED, yaw, before)
-        return np.clip(geometry.wrap_angle(self._yaw - before) / self._period, -MAX_YAW_RATE, MAX_YAW_RATE)
+        self._yaw = yaw = np.where(np.hypot(*velocity.T) > STALLED, yaw, before)
+        return yaw, np.clip(geometry.wrap_angle(yaw - before) / self._period, -MAX_YAW_RATE, MAX_YAW_RATE)
 
     def _robot(self, times):
         """Where (T, 2) the robot will be at `times` (T,), as it planned a control period ago; first it stands."""

@@ -81,7 +81,7 @@ class OrcaOracle:
         """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
         view, robot = self._view, self._robot
         view.see(observation)
-        if self._grid is None:
+        if self._grid is None or self._boxes is None:
             self._grid = view.map.inflated(self.radius + self.config.path_clearance)
             self._boxes = occupied_boxes(view.map)
         yaw = view.pose[2]

@@ -91,7 +91,8 @@ class SfmPlanner:
         if self._slopes is None or self._boxes is None:
             rate = rate_by_clearance(view.map.occupied, view.map.clearance, self._radius + c.margin, c.comfort)
             field = way_field(view.map, view.goal, rate)
-            self._slopes, self._boxes = np.stack(np.gradient(field)[::-1], axis=-1), occupied_boxes(view.map)
+            down, across = np.gradient(field)
+            self._slopes, self._boxes = np.stack([across, down], axis=-1), occupied_boxes(view.map)
         yaw = view.pose[2]
         point = view.pose[:2] + geometry.rotate(np.array([c.ahead, 0.0]), yaw)
         v, w = np.asarray(observation["velocity"], float)

@@ -61,7 +61,8 @@ class Tracking:
 
     def forget(self) -> None:
         """Forgets the last episode."""
-        self._yaw, self._goal, self._rate = 0.0, None, 0.0
+        self._yaw, self._rate = 0.0, 0.0
+        self._goal: Any = None
         self._steps, self._old = 0, 0  # control steps since the episode began, and since the last scan
         self._met = np.zeros((0, 2))  # wall points of that scan
         self._position = np.zeros(2)  # of the robot, goal-bound frame

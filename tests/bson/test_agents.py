@@ -30,7 +30,7 @@ def test_every_built_in_agent_acts_within_bounds(name):
         assert (np.abs(action) <= 1.0).all()
 
 
-@pytest.mark.parametrize("name", ["astar", "rrt", "rrt-star", "carrt-star", "orca-oracle"])
+@pytest.mark.parametrize("name", ["astar", "rrt", "rrt-star", "carrt-star", "orca-oracle", "mppi", "sfm-planner"])
 def test_planning_agents_find_the_way_round_a_wall(name):
     make = load_agent(name)
     assert make.track == "global" and load_agent("vfh").track == "local"

@@ -165,7 +165,7 @@ def test_a_scans_points_lie_on_the_walls(robot, lidar):
 
 
 @pytest.mark.parametrize("lidar", OTHER_LIDARS.values(), ids=OTHER_LIDARS)
-@pytest.mark.parametrize("name", ["vfh", "dwa", "stop-and-go"])
+@pytest.mark.parametrize("name", ["vfh", "dwa", "stop-and-go", "mppi-local"])
 def test_reactive_agents_take_other_lidars(name, lidar):
     config, track = TaskConfig(**EMPTY), make_track("local", (Imu(), lidar))
     (episode,) = run_episodes(load_agent(name), config, track, [3], name)
@@ -181,6 +181,10 @@ def test_reactive_agents_take_other_lidars(name, lidar):
         ("vfh", {"sensor": (Lidar2D(rate=1.0),)}, "needs a scan every 0.5 s at least; 'lidar' has a rate of 1 Hz"),
         ("stop-and-go", {"sensor": (Lidar2D(field=2.0, yaw=math.pi),)}, "needs a Lidar2D that looks ahead"),
         ("vfh", {"control_period": 1.0}, "needs a control_period of at most 0.5 s, not 1 s"),
+        ("mppi", {"control_period": 1.0}, "needs a control_period of at most 0.5 s, not 1 s"),
+        ("mppi-policy", {}, "Agent 'mppi-policy' needs the map and people's places: choose --track global"),
+        ("sfm-planner", {"control_period": 0.5}, "needs a control_period of at most 0.2 s, not 0.5 s"),
+        ("mppi-local", {"sensor": "lidar3d"}, "Agent 'mppi-local' needs a Lidar2D; the sensors are: Imu, Lidar3D"),
         ("astar", {}, "Agent 'astar' needs the map and people's places: choose --track global"),
         ("ppo", {"robot": "diffbot"}, "Agent 'ppo' was trained with robot jackal, not with robot diffbot; --untrain"),
         ("ppo", {"control_period": 0.2}, "trained with control_period 0.1 s, not with control_period 0.2 s"),
