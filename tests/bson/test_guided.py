@@ -16,7 +16,7 @@ from bson.agents.contract import Setting, Unsuited
 from bson.agents.guide import MapSight, ScanSight, grown_by
 from bson.agents.ways import Ways
 from bson.episodes.session import Session
-from bson.episodes.tracks import make_track
+from bson.episodes.tracks import TRACKS, make_track
 from bson.evaluation.executors import check_engine
 from bson.evaluation.suites import load_suite, suite_names
 from bson.planners import Grid, path_cost, plan
@@ -402,6 +402,28 @@ def test_a_guided_robot_learns_resumes_and_drives(draw, tmp_path):
     assert recipe["inputs"] == "guided" and recipe["validations"]
     agent = load_agent(str(folder / "policy.npz"))
     assert agent.track == "global" and agent().act(vectors(np.random.default_rng(0), 3)).shape == (3, 2)
+
+
+def test_pupil_and_teacher_share_a_world_with_all_that_both_see():
+    from bson.learning.dagger import common_track
+
+    cases = {
+        ("tac", learned.CameraPupil): "local",
+        ("mppi", learned.Pupil): "global",
+        ("goal", learned.MapPupil): "global",
+    }
+    for (teacher, pupil), wanted in cases.items():
+        track = common_track(load_agent(teacher), pupil)
+        assert type(track) is TRACKS[wanted]
+        keys = {sensor.key for sensor in track.sensors}
+        assert keys == {"imu", "lidar", "depth"} if pupil.pictures else keys == {"imu", "lidar"}
+
+
+def test_a_depth_picture_keeps_the_nearest_pixel_of_each_block():
+    depth = np.full((120, 160), 10.0, np.float32)
+    depth[7, 9] = 1.5
+    seen = recurrent.picture(depth)
+    assert seen.shape == recurrent.PICTURE and seen[1, 2] == 0.75 and np.count_nonzero(seen) == 1
 
 
 @pytest.mark.parametrize("inputs", ["gru", "gru-map"])
