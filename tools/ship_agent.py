@@ -13,6 +13,7 @@ import sys
 
 from bson.agents import load_agent
 from bson.evaluation.results import read_results
+from bson.evaluation.suites import load_suite
 from macid import command
 from macid.command import Parser, check_words
 from macid.files import UsageError, run_command, write_bytes, write_json
@@ -29,7 +30,7 @@ def noted(folder):
         for name in SCORES
     }
     rounded = {name: {key: round(value, 4) for key, value in each.items()} for name, each in scores.items()}
-    return {"suite": found["suite"], "digest": found["digest"], **rounded}
+    return {"suite": found["suite"], "digest": load_suite(found["suite"]).digest, **rounded}
 
 
 def ship(args):
