@@ -57,12 +57,12 @@ class SceneConfig:
     pace: float = 2.0  # of the squared difference of the speed ahead from the preferred one, in its share
     aside: float = 2.0  # of the squared speed aside, in the preferred one's share
     change: float = 0.03  # of the squared acceleration [(m/s2)^2]
-    meet: float = 1.05  # of the energy of collision courses
+    meet: float = 1.1  # of the energy of collision courses
     crowding: float = 2.0  # number of people near by that halves the weight of collision courses
     reach: float = 0.25  # by how much two bodies that miss each other still count [m]
-    fade: float = 3.5  # with which a later collision costs less [s]
+    fade: float = 3.0  # with which a later collision costs less [s]
     touch: float = 2.0  # of bodies and walls that are touched
-    headway: float = 0.95  # of the room that is missing behind a person who walks ahead [m]
+    headway: float = 1.1  # of the room that is missing behind a person who walks ahead [m]
     headway_time: float = 0.6  # by which that room grows with speed [s]; 1.06 in single file (Seyfried et al. 2005)
     apart: float = 0.3  # of a companion's distance beyond 1 m [m]
 

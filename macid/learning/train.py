@@ -94,7 +94,7 @@ PRESETS = {
         "nworld": 1,
         "rollout": 5,
         "episode": 80,
-        "agent_steps": 3_248_000,  # 1,600 updates
+        "agent_steps": 4_060_000,  # 2,000 updates
     },
 }
 
