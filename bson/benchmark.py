@@ -901,6 +901,9 @@ def train(
     preset: str = "fast",
     overrides: dict[str, Any] | None = None,
     demonstrations: str | None = None,
+    inputs: str = "scans",
+    draw: str | None = None,
+    teacher: str | None = None,
     resume: bool = False,
     tensorboard: bool = False,
     executor: str | Executor = "local",
@@ -913,9 +916,11 @@ def train(
     algo: a name of bson.learning.train.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS. steps:
     control steps of all worlds together. worlds: how many are stepped at once. overrides: fields of TaskConfig that are
     changed. demonstrations: of bc, what to learn from in place of an expert: a Minari dataset, its id or its folder, or
-    the folder `out` of `live`, with what people drove. resume: goes on from checkpoints. executor, ray_address,
-    workers: see macid.executors.make_executor; an executor with several workers trains the seeds side by side. Raises
-    UsageError, also where the extra `agents` is missing.
+    the folder `out` of `live`, with what people drove. inputs: what the robot sees, a name of
+    bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of bson.learning.draw.draw_names() or a
+    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates. resume: goes on from checkpoints.
+    executor, ray_address, workers: see macid.executors.make_executor; an executor with several workers trains the seeds
+    side by side. Raises UsageError, also where the extra `agents` is missing.
     """
     with agents_extra():
         from bson.learning.train import TrainConfig, hyperparameters
@@ -931,11 +936,25 @@ def train(
             raise UsageError("--demonstrations are read in this process: leave --executor out.")
         check_demonstrations(demonstrations, TaskConfig().replace(**overrides or {}))
         chosen = dataclasses.replace(chosen, demonstrations=demonstrations)
+    if inputs != "scans" and algo == "bc":
+        chosen = None if preset == "fast" and demonstrations is None else chosen
+    if teacher is not None:
+        chosen = _pupils_hyperparameters(algo, inputs, teacher)
     configs = [
-        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen)
+        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen, inputs=inputs, draw=draw)
         for one in range(seed, seed + seeds)
     ]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
+
+
+def _pupils_hyperparameters(algo, inputs, teacher):
+    from bson.agents import load_agent
+    from bson.learning.dagger import DaggerConfig
+
+    if algo != "bc" or inputs == "scans":
+        raise UsageError(f"--teacher is whom bc imitates with --inputs gru, gru-map or camera, not {algo} on {inputs}.")
+    load_agent(teacher)
+    return DaggerConfig(teacher)
 
 
 def train_configs(

@@ -261,6 +261,9 @@ def _train(args):
         preset=args.preset,
         overrides=_overrides(args),
         demonstrations=args.demonstrations,
+        inputs=args.inputs,
+        draw=args.draw,
+        teacher=args.teacher,
         resume=args.resume,
         tensorboard=args.tensorboard,
         executor=args.executor,
@@ -276,6 +279,8 @@ def _train(args):
 def _train_warp(args):
     if args.demonstrations is not None:
         raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
+    if args.inputs != "scans" or args.draw is not None or args.teacher is not None:
+        raise UsageError("--engine warp learns on scans in one setting: leave --inputs, --draw and --teacher out.")
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.tensorboard or args.executor != "local":
@@ -633,6 +638,18 @@ def parser() -> Parser:
         default=None,
         metavar="DATASET",
         help="of bc: a Minari dataset's id or folder, in place of the expert (extra `data`)",
+    )
+    train.add_argument(
+        "--inputs",
+        type=name,
+        default="scans",
+        help="what the robot sees: scans; guided: a planner's way and people, on the map; with bc gru, gru-map, camera",
+    )
+    train.add_argument(
+        "--draw", type=name, default=None, help="draw episodes' settings: standard, or a .toml file; not with scans"
+    )
+    train.add_argument(
+        "--teacher", type=name, default=None, metavar="AGENT", help="of bc with gru, gru-map or camera (default: tac)"
     )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)

@@ -112,9 +112,15 @@ def check_layers(layers: Layers) -> None:
 def write_network(path: str | os.PathLike[str], layers: Layers, recipe: dict[str, Any], person: Layers = ()) -> None:
     """Writes `path`.npz (weights and biases of `layers`, and of an encoder of people, `person`) and `path`.json
     (`recipe`), each all or nothing."""
+    write_networks(path, {"": layers, ENCODER: person}, recipe)
+
+
+def write_networks(path: str | os.PathLike[str], parts: Mapping[str, Layers], recipe: dict[str, Any]) -> None:
+    """Writes `path`.npz (weights and biases of a network's `parts`, {what their names begin with: layers}) and
+    `path`.json (`recipe`), each all or nothing."""
     path = pathlib.Path(path)
     found = {}
-    for prefix, each in (("", layers), (ENCODER, person)):
+    for prefix, each in parts.items():
         for index, (weight, bias) in enumerate(each):
             found[f"{prefix}weight{index}"], found[f"{prefix}bias{index}"] = np.asarray(weight), np.asarray(bias)
     buffer = io.BytesIO()

@@ -10,7 +10,7 @@ import io
 import math
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -280,7 +280,8 @@ def load_policy(name: str) -> Policy | EncounterPolicy:
 @functools.lru_cache(64)
 def _made(path, weights, recipe):
     """One Policy for the same content (bytes) of its two files, so that what was compiled for it serves again."""
-    layers, person, document = _parsed(path, weights, recipe)
+    parts, document = _parsed(path, weights, recipe)
+    layers, person = parts[""], parts[ENCODER]
     seen = document.get("inputs", "features")
     # A robot's policy is told by its size before its recipe is looked at.
     width = INPUTS[seen][1] + 1 if isinstance(seen, str) and seen in INPUTS else FEATURES + 1
@@ -334,11 +335,19 @@ class _Recipe(msgspec.Struct):
 def read_network(path: str | os.PathLike[str]) -> tuple[tuple[tuple[np.ndarray, np.ndarray], ...], dict[str, Any]]:
     """What `write_network` wrote to `path` (.npz), without an encoder: (layers, recipe). Raises UsageError (a
     ValueError) for what is none."""
-    path = pathlib.Path(path)
-    layers, person, recipe = _parsed(path, *_contents(path))
-    if person:
+    parts, recipe = read_networks(path)
+    if parts[ENCODER]:
         raise UsageError(f"'{path}' is a pedestrians' policy, with an encoder of people.")
-    return layers, recipe
+    return parts[""], recipe
+
+
+def read_networks(
+    path: str | os.PathLike[str], prefixes: Sequence[str] = ("", ENCODER)
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `write_networks` wrote to `path` (.npz): ({prefix: layers}, recipe), of each of `prefixes`; () where the
+    file has none of a part. Raises UsageError (a ValueError) for what is none."""
+    path = pathlib.Path(path)
+    return _parsed(path, *_contents(path), prefixes)
 
 
 def _contents(path):
@@ -347,12 +356,12 @@ def _contents(path):
     return weights, read_bytes(path.with_suffix(".json"), "policy's recipe", MOST_RECIPE_BYTES)
 
 
-def _parsed(path, weights, recipe):
-    """(layers, the encoder's layers, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
+def _parsed(path, weights, recipe, prefixes=("", ENCODER)):
+    """({prefix: layers}, recipe) of the contents (bytes) of a policy's two files. Raises UsageError."""
     try:
         found, documents = arrays.unpack(io.BytesIO(weights), MOST_POLICY_BYTES)
-        encoder = sum(name.startswith(ENCODER) for name in found) // 2
-        counts = {"": max(1, len(found) // 2 - encoder), ENCODER: encoder}
+        counts = {prefix: sum(name.startswith(prefix) for name in found) // 2 for prefix in prefixes if prefix}
+        counts[""] = max(1, len(found) // 2 - sum(counts.values()))
         wanted = {
             prefix: [(f"{prefix}weight{number}", f"{prefix}bias{number}") for number in range(count)]
             for prefix, count in counts.items()
@@ -362,11 +371,13 @@ def _parsed(path, weights, recipe):
             odd = sorted({*found, *documents} - names) or sorted(names - found.keys())
             told = f"{odd[0][:60]!r} is odd or missing"
             raise ValueError(f"it must hold weight0, bias0, weight1 and so on, and nothing else: {told}")
-        layers, person = (tuple((found[w], found[b]) for w, b in wanted[prefix]) for prefix in ("", ENCODER))
-        check_layers(layers)
-        if person:
-            check_layers(person)
+        parts = {prefix: tuple((found[w], found[b]) for w, b in rows) for prefix, rows in wanted.items()}
+        for prefix, layers in parts.items():
+            if prefix in ("", ENCODER) and (layers or not prefix):
+                check_layers(layers)
+            for layer in layers:
+                check_layers([layer])
     except ValueError as error:
         raise UsageError(f"'{path}' is not a policy (npz with its json beside it): {error}.") from None
     document = parse(path.with_suffix(".json"), "the policy's recipe", recipe)
-    return layers, person, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")
+    return parts, convert(document, dict, f"the policy's recipe '{path.with_suffix('.json')}'")

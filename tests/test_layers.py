@@ -30,7 +30,7 @@ MACID = (
 )
 BSON = (
     "robot",
-    "sensors task features",
+    "sensors task features guided recurrent",
     "simulation planners",
     "episodes",
     "agents",

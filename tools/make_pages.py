@@ -366,6 +366,9 @@ def agent_card(name):
         digits = 1 if metric in ("SNS", "Coll") else 3
         cells.append("{mean:.{d}f} [{low:.{d}f}, {high:.{d}f}]".format(**scores[metric], d=digits))
     lines.append(tables.text_row(f"`{name}`", cells))
+    for other in recipe.get("other scores", []):
+        (mean, low, high), coll = other["SNS"].values(), other["Coll"]["mean"]
+        lines += ["", f"On `{other['suite']}`: SNS {mean:.1f} [{low:.1f}, {high:.1f}], {coll:.1f} collisions."]
     seeds = ", ".join(f"{seed['SNS']:.1f} (seed {seed['seed']})" for seed in recipe["seeds"])
     lines += ["", f"SNS of all seeds on that suite: {seeds}."]
     return lines

@@ -8,6 +8,11 @@ everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows;
 Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a
 training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all
 else is as without.
+
+With --size paper the networks of SAC, TAC and BC have the paper's (1024, 1024), with one update a control step: hours
+for each on a GPU (--device cuda), weeks on a few cores.
+
+    tools/reproduce_table3.py --size paper --device cuda --algos sac tac bc --tables table3 --out table3-paper-size
 """
 
 import argparse
@@ -26,6 +31,7 @@ from bson.evaluation.metrics import measure, summarise
 from bson.evaluation.play import run_episodes
 from bson.evaluation.store import basis
 from bson.evaluation.suites import load_suite
+from bson.learning.algorithms import on_device
 from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_apart, train_with_bar
 from macid import command
 from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
@@ -42,6 +48,13 @@ PAPER = {
 }
 PAPER["ppo-paper"] = PAPER["ppo"]
 ROBOTS = (*ALGORITHMS, "ppo-paper")  # the last with all that the paper gives
+_PAPER = PRESETS["paper"]
+SIZES = {
+    "ours": {},
+    "paper": {name: dataclasses.replace(_PAPER[name], steps_per_update=1) for name in ("sac", "tac")}
+    | {"bc": _PAPER["bc"]},
+}
+_RUNS = {"ours": "runs", "paper": "runs-paper-size"}
 CROWDS = ("social-force-progress", "orca", "ipo", "macid")  # of the carry-over table
 UNMET = "macid-touch"  # tested among, not trained among
 TABLES = ("table3", "lcf", "carry-over")
@@ -49,19 +62,17 @@ SCRIPTED = ("goal", "vfh", "dwa")
 DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
 
 
-def wanted(algo, crowd, seed, steps, runs):
+def wanted(algo, crowd, seed, steps, runs, size="ours"):
     """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper"
-    behind it for that preset."""
+    behind it for that preset. size: of SIZES."""
     algo, _, preset = algo.partition("-")
     task = {} if crowd == "macid" else {"pedestrian_model": crowd}
-    config = TrainConfig(algo, seed, steps, task, hyperparameters=PRESETS[preset or "fast"][algo])
+    chosen = PRESETS[preset or "fast"][algo] if preset or algo not in SIZES[size] else SIZES[size][algo]
     if algo != "bc":
-        return config
+        return TrainConfig(algo, seed, steps, task, hyperparameters=chosen)
     expert = wanted("ppo", crowd, seed, steps, runs)
-    return TrainConfig(
-        algo, seed, int(DEMONSTRATED * steps), config.task,
-        hyperparameters=type(ALGORITHMS["bc"])(expert=str(runs / f"{expert.name}-{seed}" / "policy.npz")),
-    )  # fmt: skip
+    chosen = dataclasses.replace(chosen, expert=str(runs / f"{expert.name}-{seed}" / "policy.npz"))
+    return TrainConfig(algo, seed, int(DEMONSTRATED * steps), task, hyperparameters=chosen)
 
 
 def robot(config, runs):
@@ -226,7 +237,9 @@ def run(args):
     """Makes the tables; returns the exit code."""
     if args.ship and (args.episodes is not None or "table3" not in args.tables):
         raise UsageError("--ship notes the scores of Table III: leave --episodes out, and table3 among --tables.")
-    with make_executor(args.executor, args.ray_address, args.workers) as executor:
+    if args.device != "cpu" and args.executor != "local":
+        raise UsageError("--device is of trainings in this process: leave --executor out.")
+    with on_device(args.device), make_executor(args.executor, args.ray_address, args.workers) as executor:
         return _make(args, executor)
 
 
@@ -235,10 +248,13 @@ def _make(args, executor):
     suite, steps = load_suite("paper"), int(args.steps)
     episodes = suite.drawn(args.episodes, 0)
     out = output_folder(args.out)
-    rows, runs = output_folder(out / "rows"), output_folder(out / "runs")
+    rows, runs = (
+        output_folder(out / "rows"),
+        output_folder(out / _RUNS[args.size]),
+    )
 
     def configs(algo, crowd="macid"):
-        return [wanted(algo, crowd, seed, steps, runs) for seed in range(args.seeds)]
+        return [wanted(algo, crowd, seed, steps, runs, args.size) for seed in range(args.seeds)]
 
     def robots(algo, crowd="macid"):
         if algo == "bc":
@@ -296,6 +312,12 @@ def main():
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument(
         "--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores"
+    )
+    parser.add_argument(
+        "--size", default="ours", choices=list(SIZES), help="of sac's, tac's and bc's networks; paper: (1024, 1024)"
+    )
+    parser.add_argument(
+        "--device", type=command.name, default="cpu", help="torch's, on which networks learn: cpu, cuda"
     )
     parser.add_argument("--out", type=command.name, default="table3")
     add_executor(parser)

@@ -1,4 +1,5 @@
-"""Agents that were trained: an MLP on `bson.features`, run by NumPy alone.
+"""Agents that were trained, run by NumPy alone: an MLP on `bson.features`; guided ones, a network on `bson.guided`; and
+recurrent ones (bson.recurrent), on scans or depth pictures.
 
 macid.policy.write_network writes such an agent: NAME.npz (weights, no pickle) and NAME.json (how it was made, how it
 scores, "output": "clip" or "tanh", and "setting": the setting in which it was trained). The shipped agents lie in
@@ -14,15 +15,18 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from bson import guided, recurrent
 from bson.agents.contract import Setting, Unsuited
+from bson.agents.guide import MapSight, ScanSight
 from bson.episodes.tracks import make_track
-from bson.features import FEATURES, SECTORS, TOP, Features
-from bson.sensors import Lidar2D
+from bson.features import FEATURES, SECTORS, TOP, Features, motion
+from bson.sensors import DepthCamera, Lidar2D
 from bson.task import TaskConfig
 from macid import assets
-from macid.documents import convert
+from macid.documents import convert, read_document, shown
 from macid.files import UsageError
-from macid.policy import read_network
+from macid.networks import ENCODER, write_networks
+from macid.policy import MOST_RECIPE_BYTES, read_networks
 
 ACTIONS = 2
 _OUTPUTS = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
@@ -45,6 +49,11 @@ class Learned:
         self._output = _OUTPUTS[output]
         self._features, self._begun = Features(1, top), False
 
+    @classmethod
+    def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Learned":
+        """The agent for a robot that is trained in `setting`."""
+        return cls(layers, output, tuple(setting.top.tolist()))
+
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
         self._begun = False
@@ -65,6 +74,159 @@ class Learned:
             return self._output(x @ weight + bias)
 
 
+class Guided:
+    """An agent for one world: what it sees is `bson.guided`, with the map and people's places (the Global track).
+    layers: those of the people's encoder first, then the head's, as `bson.learning.algorithms.export` gives them."""
+
+    sight, track, sensor = MapSight, MapSight.track, "lidar2d"
+
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
+        self.layers, self._output = tuple(layers), _OUTPUTS[output]
+        self._sight = self.sight(setting)
+
+    @classmethod
+    def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Guided":
+        """The agent for a robot that is trained in `setting`."""
+        return cls(layers, output, setting)
+
+    def reset(self, seed: int | None) -> None:
+        """Begins an episode."""
+        self._sight.reset()
+
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) in [-1, 1] for one world's observation."""
+        return self.act(self._sight.see(observation)[None])[0]
+
+    def act(self, x: np.ndarray) -> np.ndarray:
+        """Actions (N, 2) for vectors (N, bson.guided.SIZE)."""
+        person, head = self.layers[: guided.ENCODER_LAYERS], self.layers[guided.ENCODER_LAYERS :]
+        with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
+            x = guided.attended(person, x)
+            for weight, bias in head[:-1]:
+                x = np.maximum(x @ weight + bias, 0.0)
+            weight, bias = head[-1]
+            return self._output(x @ weight + bias)
+
+
+class ScanGuided(Guided):
+    """The same by the LIDAR alone (the Local track)."""
+
+    sight, track = ScanSight, ScanSight.track
+
+
+class CameraSight:
+    """Sees by the depth camera: call `reset` as an episode begins, then `see`."""
+
+    track = "local"
+
+    def __init__(self, setting: Setting):
+        self._top = setting.top
+
+    def reset(self) -> None:
+        """Nothing is remembered here."""
+
+    def see(self, observation: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """The motion (recurrent.MOTION,) and the depth picture (*recurrent.PICTURE,) of one world's observation."""
+        return motion(observation, self._top), recurrent.picture(observation["depth"])
+
+
+class Pupil:
+    """A recurrent agent for one world, which learns by imitation (bson.learning.dagger): what it sees is `bson.guided`
+    by the LIDAR alone.
+
+    layers: those of bson.recurrent's parts, EYE, MEMORY and HEAD, one after the other.
+    """
+
+    sight: Any = ScanSight
+    track, sensor = "local", "lidar2d"
+    pictures = False  #: whether it sees depth pictures, and not scans
+
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
+        self.network, self._output = _parts(layers, self.pictures), _OUTPUTS[output]
+        self._sight = self.sight(setting)
+        self.reset(None)
+
+    @classmethod
+    def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Pupil":
+        """The agent for a robot that is trained in `setting`."""
+        return cls(layers, output, setting)
+
+    @classmethod
+    def look(cls, sight: Any, observation: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray | None]:
+        """What bson.recurrent.step takes of one world, without its leading axis: vector and picture."""
+        return sight.see(observation) if cls.pictures else (sight.see(observation), None)
+
+    def reset(self, seed: int | None) -> None:
+        """Begins an episode, with nothing remembered."""
+        self._sight.reset()
+        self._state = np.zeros((1, recurrent.UNITS), np.float32)
+
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action (2,) in [-1, 1] for one world's observation."""
+        vector, picture = self.look(self._sight, observation)
+        seen = None if picture is None else picture[None]
+        with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
+            action, self._state = recurrent.step(self.network, vector[None], seen, self._state)
+            return self._output(action)[0]
+
+
+class MapPupil(Pupil):
+    """The same with the map and people's places (the Global track)."""
+
+    sight, track = MapSight, MapSight.track
+
+
+class CameraPupil(Pupil):
+    """The same with a depth camera in place of the LIDAR and of a map."""
+
+    sight, sensor, pictures = CameraSight, "camera", True
+
+
+def _parts(layers, pictures):
+    """`layers` as bson.recurrent takes them: {part: its layers}."""
+    rest, parts = list(layers), {}
+    for name, shapes in recurrent.shapes(pictures).items():
+        parts[name], rest = rest[: len(shapes)], rest[len(shapes) :]
+    return parts
+
+
+# What a robot sees, as a recipe's "inputs" has it, and the agent that sees it.
+KINDS: dict[str, Any] = {
+    "scans": Learned,
+    "guided": Guided,
+    "guided-scans": ScanGuided,
+    "gru": Pupil,
+    "gru-map": MapPupil,
+    "camera": CameraPupil,
+}
+
+
+def _kind(recipe):
+    """The agent that a recipe is of. Raises UsageError."""
+    inputs = recipe.get("inputs", "scans")
+    if not isinstance(inputs, str) or inputs not in KINDS:
+        raise UsageError(f'A robot\'s policy has "inputs" of {", ".join(KINDS)}, not {shown(inputs)}.')
+    return KINDS[inputs]
+
+
+def _shapes(kind) -> dict[str, list[tuple[int, int]]] | None:
+    """The shapes of the weights in the parts of a policy's file, in the order of the agent's layers; None for an MLP of
+    any layers. The last part, the head of a guided policy, may have any layers too: its shapes here are the first's
+    inputs and the last's outputs."""
+    if issubclass(kind, Pupil):
+        return recurrent.shapes(kind.pictures)
+    return {ENCODER: _ENCODER} if issubclass(kind, Guided) else None
+
+
+def write(path: Any, layers: Sequence[tuple[np.ndarray, np.ndarray]], recipe: dict[str, Any]) -> None:
+    """Writes `path`.npz and `path`.json of a robot's policy, with the layers that the agent of the recipe's "inputs"
+    takes."""
+    rest, parts = list(layers), {}
+    for prefix, shapes in (_shapes(_kind(recipe)) or {}).items():
+        parts[prefix], rest = rest[: len(shapes)], rest[len(shapes) :]
+    write_networks(path, parts if "" in parts else {"": rest, **parts}, recipe)
+
+
 def names() -> list[str]:
     """Names of the shipped agents."""
     return assets.names("agents", ".npz")
@@ -76,18 +238,37 @@ class _Trained(msgspec.Struct):
 
     control_period: float
     robot: dict[str, str | float]
-    lidar: dict[str, Any]
+    lidar: dict[str, Any] | None = None
+    depth: dict[str, Any] | None = None
 
 
-def setting_document(setting: Setting) -> dict:
-    """The "setting" in which a policy was trained, as its recipe notes it in JSON.
+def setting_document(setting: Setting, pictures: bool = False) -> dict:
+    """The "setting" in which a policy was trained, as its recipe notes it in JSON. pictures: whether it sees those of a
+    DepthCamera "depth", and not a Lidar2D "lidar".
 
-    Raises Unsuited where there is no Lidar2D "lidar"."""
+    Raises Unsuited where there is no such sensor."""
     return {
         "control_period": setting.control_period,
         "robot": dataclasses.asdict(setting.robot),
-        "lidar": dataclasses.asdict(_lidar(setting)),
+        **(
+            {"depth": dataclasses.asdict(_depth(setting))}
+            if pictures
+            else {"lidar": dataclasses.asdict(_lidar(setting))}
+        ),
     }
+
+
+def _depth(setting):
+    rows, columns = recurrent.PICTURE
+    for sensor in setting.sensors:
+        if sensor.key == "depth" and isinstance(sensor, DepthCamera):
+            if sensor.height % rows or sensor.width % columns:
+                raise Unsuited(
+                    f"needs depth pictures of multiples of {columns} x {rows}, not {sensor.width} x {sensor.height}."
+                )
+            return sensor
+    has = ", ".join(type(sensor).__name__ for sensor in setting.sensors) or "none"
+    raise Unsuited(f'needs a DepthCamera with the key "depth"; the sensors are: {has}. Choose --sensor camera.')
 
 
 def _lidar(setting):
@@ -129,7 +310,10 @@ def _compared(trained, setting):
         found.append(("", {"robot": names[0]}, {"robot": names[1]}))
     else:
         found.append((f"robot {names[0]}'s ", ours, theirs))
-    found.append(("LIDAR's ", trained.lidar, dataclasses.asdict(_lidar(setting))))
+    if trained.depth is not None:
+        found.append(("depth camera's ", trained.depth, dataclasses.asdict(_depth(setting))))
+    if trained.lidar is not None:
+        found.append(("LIDAR's ", trained.lidar, dataclasses.asdict(_lidar(setting))))
     pairs = [
         [f"{prefix}{key} {_shown(each[key])}{_UNITS.get(key, '')}" for each in (before, now)]
         for prefix, before, now in found
@@ -150,7 +334,7 @@ def _shown(value):
 class Factory:
     """The AgentFactory of the policy `name` with `layers` and `recipe`, read from the file `path`."""
 
-    track, sensor, takes_setting = Learned.track, Learned.sensor, True
+    takes_setting = True
 
     def __init__(
         self,
@@ -161,21 +345,25 @@ class Factory:
         untrained: bool,
     ):
         self._name, self.untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
+        self.kind = _kind(recipe)  #: the class of its agents
+        self.track, self.sensor = self.kind.track, self.kind.sensor
         self._trained = functools.cache(lambda: _trained(recipe, path))
         robot = self._trained().robot if "setting" in recipe else dict(zip(_TOP, TOP, strict=True))
         self._top: tuple[Any, ...] = tuple(robot[key] for key in _TOP)
 
-    def __call__(self, setting: Setting | None = None) -> Learned:
+    def __call__(self, setting: Setting | None = None) -> Any:
         """An agent for one world of `setting`. Raises Unsuited."""
         if setting is not None:
             self._check(setting)
-        return Learned(self._layers, self._output, self._top)
+        if self.kind is Learned:
+            return Learned(self._layers, self._output, self._top)
+        return self.kind(self._layers, self._output, setting or Setting.default(self.track, self.sensor))
 
     def _check(self, setting):
         """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy
         can't even try."""
         try:
-            _lidar(setting)
+            _depth(setting) if getattr(self.kind, "pictures", False) else _lidar(setting)
         except Unsuited as error:
             raise Unsuited(f"Agent '{self._name}' {error}") from None
         if self.untrained:
@@ -196,14 +384,29 @@ def load(name: str, untrained: bool = False) -> Factory:
     unless `untrained`.
     """
     path = pathlib.Path(name) if name.endswith(".npz") else assets.path("agents", f"{name}.npz")
-    layers, recipe = read_network(path)
+    kind = _kind(read_document(path.with_suffix(".json"), dict, "policy's recipe", MOST_RECIPE_BYTES))
+    shapes = _shapes(kind) or {}
+    parts, recipe = read_networks(path, ("", *(prefix for prefix in shapes if prefix)))
     output = recipe.get("output")
     if not isinstance(output, str) or output not in _OUTPUTS:
         raise UsageError(
             f"'{path}' is no robot's policy, as bson train makes them: its json has no \"output\" of "
             f"{', '.join(_OUTPUTS)}."
         )
-    for given, wanted, does in ((layers[0][0].shape[0], FEATURES, "takes"), (layers[-1][0].shape[1], ACTIONS, "gives")):
-        if given != wanted:
-            raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
-    return Factory(name, path, layers, recipe, untrained)
+    for prefix, wanted in shapes.items():
+        found = [weight.shape for weight, _ in parts[prefix]]
+        if found != wanted:
+            raise UsageError(
+                f"'{path}' is no robot's policy: its part '{prefix}' has weights of {found}, not {wanted}."
+            )
+    head = parts[""]
+    if "" not in shapes:
+        takes = guided.ATTENDED if shapes else FEATURES
+        for given, wanted, does in ((head[0][0].shape[0], takes, "takes"), (head[-1][0].shape[1], ACTIONS, "gives")):
+            if given != wanted:
+                raise UsageError(f"'{path}' is no robot's policy: it {does} {given} numbers, not {wanted}.")
+    layers = [layer for prefix in shapes if prefix for layer in parts[prefix]]
+    return Factory(name, path, (*layers, *head), recipe, untrained)
+
+
+_ENCODER = [(guided.OWN + guided.PERSON, guided.HIDDEN), (guided.HIDDEN, 1 + guided.ENCODED)]

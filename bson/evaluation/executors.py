@@ -90,6 +90,9 @@ def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any,
     if not (isinstance(agent, str) and (agent in learned.names() or agent.endswith(".npz"))):
         known = ", ".join(learned.names())
         raise UsageError(f"The engine 'warp' plays learned policies, {known} or a .npz file, not {agent}.")
+    if (kind := learned.load(agent).kind) is not learned.Learned:
+        told = ", ".join(name for name, each in learned.KINDS.items() if each is kind)
+        raise UsageError(f"The engine 'warp' plays policies on scans alone; '{agent}' sees otherwise: {told}.")
     if track != (learned.Learned.track, learned.Learned.sensor):
         raise UsageError("The engine 'warp' plays the local track with lidar2d: leave --track and --sensor out.")
     if executor != "local" or paired:

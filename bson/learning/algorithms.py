@@ -5,15 +5,41 @@ Two (1024, 1024) critics and an actor cost some 10 GFLOP an update of 256, a mil
 and TAC's networks are (256, 256) by default, with one update every `steps_per_update` steps.
 """
 
+import contextlib
+import contextvars
 import dataclasses
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
+from bson import guided
+from bson.learning.attention import PeopleAttention
 from bson.learning.tsallis import TsallisPolicy
+from macid.files import UsageError
+
+DEVICE: contextvars.ContextVar[str] = contextvars.ContextVar("device", default="cpu")  #: of the networks, see on_device
+
+
+@contextlib.contextmanager
+def on_device(name: str) -> Iterator[None]:
+    """Within the `with`, networks that are built learn on torch's device `name`. For networks of (1024, 1024) that is
+    worth it; small ones learn faster on the CPU. Raises UsageError where torch has no such device."""
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        told = str(error).splitlines()[0][:200]
+        raise UsageError(
+            f"--device {name}: torch can't use it ({told}). Choose cpu, or cuda with an NVIDIA GPU."
+        ) from None
+    token = DEVICE.set(name)
+    try:
+        yield
+    finally:
+        DEVICE.reset(token)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,9 +74,10 @@ class PpoConfig:
                 "net_arch": list(self.hidden),
                 "activation_fn": torch.nn.ReLU,
                 "log_std_init": self.log_std,
+                **_eyes(env),
             },
             seed=seed,
-            device="cpu",
+            device=DEVICE.get(),
         )
 
 
@@ -83,22 +110,32 @@ class SacConfig:
             learning_starts=self.learning_starts,
             train_freq=every,
             gradient_steps=every * env.num_envs // self.steps_per_update,
-            policy_kwargs={"net_arch": list(self.hidden), "q": self.q, "joint": self.joint},
+            policy_kwargs={"net_arch": list(self.hidden), "q": self.q, "joint": self.joint, **_eyes(env)},
             seed=seed,
-            device="cpu",
+            device=DEVICE.get(),
         )
+
+
+def _eyes(env):
+    """How the policy reads what `env` gives: people by attention, where it tells of people."""
+    sees_people = env.observation_space.shape == (guided.SIZE,)
+    return {"features_extractor_class": PeopleAttention} if sees_people else {}
 
 
 def linear_layers(module: torch.nn.Module) -> list[tuple[np.ndarray, np.ndarray]]:
     """[(weight (in, out), bias (out,)), ...] of a torch module's linear layers, in order, as NumPy float32."""
     linear = [layer for layer in module.modules() if isinstance(layer, torch.nn.Linear)]
-    return [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
+    pairs = [(layer.weight.detach().cpu().numpy(), layer.bias.detach().cpu().numpy()) for layer in linear]
+    return [(weight.T.copy(), bias.copy()) for weight, bias in pairs]
 
 
 def export(model: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
     """The layers of the mean action of a stable-baselines3 model, and how their output becomes an action: "tanh" for a
-    model with an actor, such as SAC's, "clip" for others."""
+    model with an actor, such as SAC's, "clip" for others. The first bson.guided.ENCODER_LAYERS of a policy that sees
+    people are their encoder's."""
     if hasattr(model, "actor"):
-        return linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
+        eyes = linear_layers(model.actor.features_extractor)
+        return eyes + linear_layers(model.actor.latent_pi) + linear_layers(model.actor.mu), "tanh"
     policy = model.policy
-    return linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"
+    eyes = linear_layers(policy.pi_features_extractor)
+    return eyes + linear_layers(policy.mlp_extractor.policy_net) + linear_layers(policy.action_net), "clip"

@@ -12,6 +12,7 @@ from macid.policy import check_layers
 
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's state for each parameter
+_LAYER = ("weight", "bias")
 _VARIABLES = ("log_ent_coef", "ent_coef_tensor")  # SAC's tensors beside its networks
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 
@@ -35,7 +36,9 @@ class _Best(msgspec.Struct):
     validation: dict[str, float]
 
 
-class _Keeper(msgspec.Struct):
+class Keeper(msgspec.Struct):
+    """What a training's keeper notes."""
+
     curve: list[dict[str, float]]
     validations: list[dict[str, float]]
     best: _Best | None
@@ -52,7 +55,7 @@ class Noted(msgspec.Struct):
     stepped: list[str]  #: optimisers that have moments already
     replay: _Replay | None
     numpy: _Numpy
-    keeper: _Keeper
+    keeper: Keeper
 
 
 def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -76,11 +79,8 @@ def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], 
         noted_replay = {"pos": int(replay.pos), "full": bool(replay.full)}
     _, words, pos, has_gauss, gauss = np.random.get_state()
     found |= {"random/torch": torch.get_rng_state().numpy(), "random/numpy": words}
-    best = keeper["best"]
-    if best:
-        for index, (weight, bias) in enumerate(best["layers"]):
-            found |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
-    return found, {
+    arrays, noted_keeper = collect_keeper(keeper)
+    return found | arrays, {
         "steps": model.num_timesteps,
         "updates": model._n_updates,
         "episodes": model._episode_num,
@@ -88,8 +88,42 @@ def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], 
         "stepped": stepped,
         "replay": noted_replay,
         "numpy": {"pos": int(pos), "has_gauss": int(has_gauss), "gauss": float(gauss)},
-        "keeper": keeper | {"best": best and {name: best[name] for name in ("output", "steps", "validation")}},
+        "keeper": noted_keeper,
     }
+
+
+def collect_keeper(keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """({name: array}, the rest) of a keeper's state."""
+    found, best = {}, keeper["best"]
+    if best:
+        for index, (weight, bias) in enumerate(best["layers"]):
+            found |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
+    return found, keeper | {"best": best and {name: best[name] for name in ("output", "steps", "validation")}}
+
+
+def wanted_keeper(noted: dict[str, Any], layers: Any) -> dict[str, np.ndarray]:
+    """The arrays, as far as names and shapes go, that `collect_keeper` gave beside `noted`; layers: an example of the
+    policy's. Raises ValueError."""
+    if not noted["best"]:
+        return {}
+    if "SNS" not in noted["best"]["validation"]:
+        raise ValueError("its best policy has no SNS")
+    return {
+        f"best/{name}{index}": one
+        for index, layer in enumerate(layers)
+        for name, one in zip(_LAYER, layer, strict=True)
+    }
+
+
+def restore_keeper(found: dict[str, np.ndarray], noted: dict[str, Any], number: int) -> dict[str, Any]:
+    """The keeper's state, from arrays whose names and shapes were checked. number: of layers. Raises ValueError."""
+    best = noted["best"]
+    if best:
+        layers = [(found[f"best/weight{index}"], found[f"best/bias{index}"]) for index in range(number)]
+        for layer in layers:  # whose shapes are the example's
+            check_layers([layer])
+        best = {"layers": layers, **best}
+    return noted | {"best": best}
 
 
 def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], layers: Any) -> dict[str, Any]:
@@ -101,17 +135,17 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
     parameters, wanted = model.get_parameters(), {}
     for name, state in parameters.items():
         if "param_groups" not in state:
-            wanted |= {f"{name}/{key}": tensor.numpy() for key, tensor in state.items()}
+            wanted |= {f"{name}/{key}": tensor.cpu().numpy() for key, tensor in state.items()}
         elif name in noted["stepped"]:
             for index, parameter in enumerate(_owned(model, name)):
-                whole = parameter.detach().numpy()
+                whole = parameter.detach().cpu().numpy()
                 likes = (np.zeros((), np.float32), whole, whole)
                 wanted |= {f"{name}/{index}/{key}": like for key, like in zip(_MOMENTS, likes, strict=True)}
     optimizers = {name: state["param_groups"] for name, state in parameters.items() if "param_groups" in state}
     rated, grouped = ({name: len(each) for name, each in many.items()} for many in (noted["rates"], optimizers))
     if rated != grouped:
         raise ValueError("it has other optimisers")
-    wanted |= {name: tensor.detach().numpy() for name, tensor in _variables(model).items()}
+    wanted |= {name: tensor.detach().cpu().numpy() for name, tensor in _variables(model).items()}
     replay, filled = getattr(model, "replay_buffer", None), noted["replay"]
     if (replay is None) != (filled is None):
         raise ValueError("it is of another algorithm: one has a replay buffer")
@@ -125,17 +159,9 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
         "random/torch": torch.get_rng_state().numpy(),
         "random/numpy": np.random.get_state(legacy=False)["state"]["key"],
     }
-    best = noted["keeper"]["best"]
-    if best:
-        if "SNS" not in best["validation"]:
-            raise ValueError("its best policy has no SNS")
-        for index, (weight, bias) in enumerate(layers):
-            wanted |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
+    wanted |= wanted_keeper(noted["keeper"], layers)
     check_arrays(found, wanted)
-    if best:
-        layers = [(found[f"best/weight{index}"], found[f"best/bias{index}"]) for index in range(len(layers))]
-        check_layers(layers)
-        best = {"layers": layers, **best}
+    keeper = restore_keeper(found, noted["keeper"], len(layers))
     try:
         torch.set_rng_state(torch.from_numpy(found["random/torch"]))
     except RuntimeError as error:
@@ -159,13 +185,13 @@ def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], lay
         }
     model.set_parameters(parameters, exact_match=True)
     for name, variable in _variables(model).items():
-        variable.data = tensor(name)
+        variable.data = tensor(name).to(variable.device)
     if replay is not None:
         for name in _REPLAY:
             getattr(replay, name)[:rows] = found[f"replay/{name}"]
         replay.pos, replay.full = filled["pos"], filled["full"]
     model.num_timesteps, model._n_updates, model._episode_num = noted["steps"], noted["updates"], noted["episodes"]
-    return noted["keeper"] | {"best": best}
+    return keeper
 
 
 def _variables(model):

@@ -15,7 +15,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack
 from bson.evaluation.metrics import sns
 from bson.features import FEATURES, Features
-from bson.learning.algorithms import linear_layers
+from bson.learning.algorithms import DEVICE, linear_layers
 from bson.task import TaskConfig
 
 
@@ -102,10 +102,11 @@ def clone(
     sizes = (FEATURES, *config.hidden, action.shape[1])
     linear = [torch.nn.Linear(*pair) for pair in itertools.pairwise(sizes)]
     between = [layer for each in linear[:-1] for layer in (each, torch.nn.ReLU())]
-    network = torch.nn.Sequential(*between, linear[-1])
+    network = torch.nn.Sequential(*between, linear[-1]).to(DEVICE.get())
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
     order = torch.randperm(len(x))
     given, wanted = torch.as_tensor(x)[order], torch.as_tensor(action, dtype=torch.float32)[order]
+    given, wanted = given.to(DEVICE.get()), wanted.to(DEVICE.get())
     held = max(1, len(x) // 20)
     batches = max(1, (len(x) - held) // config.batch)
     last = config.final_learning_rate / config.learning_rate

@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from bson.agents import learned
+from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited
 from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
@@ -23,7 +23,10 @@ from bson.evaluation.play import run_episodes, sound, versions
 from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
+from bson.learning.dagger import DaggerConfig, Imitation, Noted
 from bson.learning.dataset import demonstrations
+from bson.learning.draw import load_draw, validation_seeds
+from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
@@ -45,10 +48,11 @@ from macid.learning.curves import (
     write_curve,
 )
 from macid.learning.jobs import Group, folder_of, train_groups
-from macid.policy import MOST_RECIPE_BYTES, write_network
+from macid.policy import MOST_RECIPE_BYTES
 from macid.registry import Kind
 
-ALGORITHMS = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+ALGORITHMS: dict[str, Any] = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
+RECURRENT = DaggerConfig()  # BC's configuration for robots with a recurrent network
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
@@ -85,7 +89,8 @@ def hyperparameters(algo: str, preset: str = "fast") -> Any:
     return PRESETS[preset].get(algo) or KIND.load(algo)
 
 
-_TRACK = make_track(learned.Learned.track, learned.Learned.sensor)
+INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
+_TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
 _RECENT = 100  # number of ended episodes in the curve's means
 _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
@@ -93,7 +98,7 @@ _SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """How a robot is trained, on BSON/LocalLidar2D-v0."""
+    """How a robot is trained: on BSON/LocalLidar2D-v0 by its scans, or, `guided`, with the map and people's places."""
 
     algo: str = "ppo"
     seed: int = 0
@@ -103,6 +108,8 @@ class TrainConfig:
     validate_every: int = 100_000  # steps; the policy that scores best is kept
     validate_episodes: int = 64
     hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
+    inputs: str = "scans"  # what the robot sees: "scans" (bson.features) or "guided" (bson.guided)
+    draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
 
     def __post_init__(self):
         found = KIND.load(self.algo)
@@ -112,8 +119,21 @@ class TrainConfig:
         if self.seed < 0:
             raise ValueError(f"A seed must be at least 0, not {self.seed}.")
         TaskConfig().replace(**self.task)  # raises where a field is not valid
+        if self.inputs not in INPUTS:
+            raise ValueError(f"inputs must be one of {', '.join(INPUTS)}, not {shown(self.inputs)}.")
+        if self.draw is not None:
+            load_draw(self.draw)
+            if self.inputs == "scans":
+                others = ", ".join(name for name in INPUTS if name != "scans")
+                raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
+        kinds = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]
+        fits = {"bc": ["scans", *kinds]}.get(self.algo, [name for name in INPUTS if name not in kinds])
+        if self.inputs not in fits:
+            raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", found)
+            object.__setattr__(self, "hyperparameters", RECURRENT if self.inputs in kinds else found)
+        if (self.inputs in kinds) != isinstance(self.hyperparameters, DaggerConfig):
+            raise UsageError(f"--inputs {self.inputs} learns with no {type(self.hyperparameters).__name__}.")
 
     @property
     def setting(self) -> TaskConfig:
@@ -131,6 +151,8 @@ class TrainConfig:
         own = self.algo.rpartition(":")[0]  # file.py or package.module
         called = pathlib.Path(own).stem if own.endswith(".py") else own.rpartition(".")[2]
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
+        parts += [self.inputs] if self.inputs != "scans" else []
+        parts += [pathlib.Path(self.draw).stem] if self.draw else []
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
 
 
@@ -169,13 +191,12 @@ class _Keeper:
             if interrupted():
                 raise KeyboardInterrupt
 
-        seeds = load_suite("paper").drawn(self.config.validate_episodes, _VALIDATION_SEED)
-        config = self.config
-        agent = functools.partial(
-            learned.Learned, layers, output, tuple(Setting.of(config.setting, _TRACK).top.tolist())
-        )
-        episodes = sound(run_episodes(agent, config.setting, _TRACK, seeds, config.name, progress))
-        measured = [measure(episode) for episode in episodes]
+        config, kind, measured = self.config, INPUTS[self.config.inputs], []
+        track = make_track(kind.track, kind.sensor)
+        agent = functools.partial(kind.of_layers, layers, output)
+        for setting, seeds in _validation(config):
+            episodes = sound(run_episodes(agent, setting, track, seeds, config.name, progress))
+            measured += [measure(episode) for episode in episodes]
         scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
         self.validations.append({"steps": steps, **scores})
         if self.board:
@@ -195,20 +216,41 @@ class _Keeper:
         """Writes the best policy so far, with its recipe."""
         best = self.best
         assert best is not None  # set by the first validation
+        kind = INPUTS[self.config.inputs]
         recipe = {
             "name": self.config.name,
-            **plain(self.config),
+            **_noted(self.config),
             "steps_done": steps,
             "seconds": round(self.seconds, 1),
             "output": best["output"],
-            "setting": learned.setting_document(Setting.of(self.config.setting, _TRACK)),
+            "setting": learned.setting_document(
+                Setting.of(self.config.setting, make_track("local", kind.sensor)), getattr(kind, "pictures", False)
+            ),
             "from_steps": best["steps"],
             "validation": best["validation"],
             "validations": self.validations,
             "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(self.curve, 60)],
             "versions": versions(),
         }
-        write_network(self.folder / "policy", best["layers"], recipe)
+        learned.write(self.folder / "policy", best["layers"], recipe)
+
+
+def _noted(config):
+    """A TrainConfig as a recipe has it, without what came later and is as it always was."""
+    noted = plain(config)
+    for name in ("inputs", "draw"):
+        if noted[name] == getattr(TrainConfig, name):
+            del noted[name]
+    return noted
+
+
+def _validation(config):
+    """[(setting, seeds), ...] of the episodes by which the policy of a training is chosen."""
+    if config.draw is None:
+        return [(config.setting, load_suite("paper").drawn(config.validate_episodes, _VALIDATION_SEED))]
+    settings = load_draw(config.draw).validation
+    each = -(-config.validate_episodes // len(settings))
+    return [(setting.replace(**config.task), validation_seeds(each)) for setting in settings]
 
 
 class _Progress(BaseCallback):
@@ -277,7 +319,10 @@ def _export(config, model):
 
 def _env(config, steps=0):
     """The worlds; their episodes follow from the seed and from `steps`, the number of steps done before."""
-    return FeatureVecEnv(config.num_envs, 10_000_000 * (config.seed + 1) + steps, **config.task)
+    seed = 10_000_000 * (config.seed + 1) + steps
+    if config.inputs != "scans":
+        return GuidedVecEnv(config.num_envs, seed, load_draw(config.draw) if config.draw else None, config.setting)
+    return FeatureVecEnv(config.num_envs, seed, **config.task)
 
 
 def _restored(keeper):
@@ -301,7 +346,7 @@ def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     if not (folder / "policy.npz").exists() or not path.exists():
         return False
     try:
-        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), plain(config)
+        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), _noted(config)
         done = recipe.get("steps_done")
         if isinstance(done, bool) or not isinstance(done, int | float):
             raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
@@ -334,7 +379,9 @@ def train(
     if tensorboard:
         check_tensorboard()
     if config.algo == "bc" and not is_done(config, path):
-        _expert(config)  # refuses a wrong expert before anything is written
+        _expert(config) if config.inputs == "scans" else _teacher(
+            config
+        )  # refuses a wrong expert before anything is written
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -345,11 +392,12 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if is_done(config, folder):
         return folder
     keeper = _Keeper(config, folder)
-    model = None if isinstance(config.hyperparameters, BcConfig) else _restored(keeper)
+    imitates = isinstance(config.hyperparameters, BcConfig | DaggerConfig)
+    model = None if imitates else _restored(keeper)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
-    if isinstance(config.hyperparameters, BcConfig):
-        return _train_bc(config, keeper, show)
+    if imitates:
+        return (_train_bc if config.inputs == "scans" else _train_pupil)(config, keeper, show)
     resumed = model is not None
     if model is not None:
         show(model.num_timesteps, {})
@@ -398,6 +446,8 @@ def train_apart(
     `train`, but Ctrl-C leaves the last checkpoints that arrived, at most some minutes old."""
     carried, done = Carried(), {}
     for config in configs:
+        if config.draw is not None and config.draw.endswith(".toml"):
+            raise UsageError(f"A draw's file is read in this process: leave --executor out, or --draw {config.draw}.")
         carried += carried_task(config.setting) + carried_code(config.algo)
         expert = getattr(config.hyperparameters, "expert", "")
         carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
@@ -440,6 +490,42 @@ def _expert(config):
         told = str(error).partition(";")[0]
         raise UsageError(f"{told}: BC needs an expert of its setting (in Python: BcConfig(expert=FILE)).") from None
     return expert
+
+
+def _teacher(config):
+    """The factory of a pupil's teacher. Raises UsageError where there is none of that name."""
+    return load_agent(config.hyperparameters.expert)
+
+
+def _train_pupil(config, keeper, show):
+    """Rounds of imitation, with a checkpoint after each."""
+    draw, kind = load_draw(config.draw) if config.draw else None, INPUTS[config.inputs]
+    settings = config.setting, draw, config.steps, config.hyperparameters, config.seed
+    training = Imitation(_teacher(config), kind, *settings)
+    if saved := read_checkpoint(keeper.folder, Noted):
+        try:
+            keeper.restore(training.restore(*saved))
+        except ValueError as error:
+            raise damaged(keeper.folder / CHECKPOINT, error) from None
+    done = training.steps
+
+    def progress(more):
+        nonlocal done
+        done += more
+        if done // 1000 > (done - more) // 1000:
+            show(min(done, config.steps), {})
+
+    def told(update, loss):
+        keeper.log({"steps": min(done, config.steps), "seconds": round(keeper.seconds, 1), "loss": loss})
+        show(min(done, config.steps), {"update": update, "loss": loss})
+
+    while training.rounds < config.hyperparameters.rounds:
+        training.round(progress, told)
+        show(training.steps, keeper.validate(training.layers, "clip", training.steps), validation=True)
+        write_checkpoint(keeper.folder, *training.collect(keeper.state))
+        keeper.write(training.steps)
+    keeper.write(config.steps)
+    return keeper.folder
 
 
 def _train_bc(config, keeper, show):

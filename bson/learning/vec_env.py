@@ -1,5 +1,6 @@
 """BSON's vector environment for stable-baselines3: with the whole observation, or with features of it."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -13,8 +14,8 @@ from bson.interfaces.gym import BsonVectorEnv
 from bson.simulation.world import World
 
 
-class _Worlds(VecEnv):
-    """The base of both environments: worlds of one configuration, which are not objects of their own."""
+class Worlds(VecEnv):
+    """The base of these environments: worlds of one configuration, which are not objects of their own."""
 
     _env: BsonVectorEnv | gymnasium.vector.VectorEnv
     _actions = None
@@ -44,7 +45,7 @@ class _Worlds(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class WorldsVecEnv(_Worlds):
+class WorldsVecEnv(Worlds):
     """A vector environment of `gymnasium.make_vec` for stable-baselines3, which takes none of Gymnasium's:
 
         env = WorldsVecEnv(gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=8))
@@ -119,7 +120,7 @@ class WorldsVecEnv(_Worlds):
         return [{name: info[name][index] for name in names} for index in range(self.num_envs)]
 
 
-class FeatureVecEnv(_Worlds):
+class FeatureVecEnv(Worlds):
     """`num_envs` worlds of the task `config` (TaskConfig's fields). An ended episode's info has `episode`: return r,
     length l, and the parts of the score."""
 
@@ -155,10 +156,11 @@ class FeatureVecEnv(_Worlds):
         if done.any():
             ended = np.flatnonzero(done)
             for index in ended:
+                row = {name: value[index] for name, value in info.items()}
                 infos[index] = {
                     "terminal_observation": features[index].copy(),
                     "TimeLimit.truncated": bool(truncated[index]),
-                    "episode": self._summary(index, info),
+                    "episode": summary(row, self._returns[index], self._worlds.config.control_period),
                 }
             self._returns[ended] = 0.0
             observation, _ = self._env.reset(options={"reset_mask": done})
@@ -166,21 +168,24 @@ class FeatureVecEnv(_Worlds):
             features[ended] = self._features.begin(ended, begun)
         return features, reward.astype(np.float32), done, infos
 
-    def _summary(self, index, info):
-        driven = metrics.Driven(
-            start_distance=info["start_distance"][index],
-            final_distance=info["distance"][index],
-            travelled=info["travelled"][index],
-            duration=info["time"][index],
-            collisions=info["collisions"][index],
-        )
-        return {
-            "r": float(self._returns[index]),
-            "l": round(float(driven.duration) / self._worlds.config.control_period),
-            "SNS": float(metrics.sns(driven)),
-            "RC": float(metrics.route_completion(driven)),
-            "Coll": float(driven.collisions),
-            "SP": metrics.speed_score(driven),
-            "PE": metrics.path_efficiency(driven),
-            "success": float(info["arrived"][index]),
-        }
+
+def summary(info: Mapping[str, Any], returned: float, control_period: float) -> dict[str, float]:
+    """What an ended episode's info tells as `episode`: the sum of rewards r, the length l in control steps, and the
+    parts of the score. info: BsonEnv's, of one world."""
+    driven = metrics.Driven(
+        start_distance=info["start_distance"],
+        final_distance=info["distance"],
+        travelled=info["travelled"],
+        duration=info["time"],
+        collisions=info["collisions"],
+    )
+    return {
+        "r": float(returned),
+        "l": round(float(driven.duration) / control_period),
+        "SNS": float(metrics.sns(driven)),
+        "RC": float(metrics.route_completion(driven)),
+        "Coll": float(driven.collisions),
+        "SP": metrics.speed_score(driven),
+        "PE": metrics.path_efficiency(driven),
+        "success": float(info["arrived"]),
+    }

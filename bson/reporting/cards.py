@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import msgspec
 
 from bson.evaluation.results import Results
+from bson.recurrent import UNITS
 from macid import assets
 from macid.documents import read_document
 from macid.files import UsageError
@@ -62,12 +63,20 @@ def _trained(agent: str) -> str | None:
 
 def made_by(agent: str, recipe: dict[str, Any]) -> str:
     """How a policy of the name `agent` was made, in words, from its recipe."""
-    preset = " --preset paper" if agent.endswith("-paper") else ""
-    people = recipe["task"].get("pedestrian_model", "macid")
+    tuned, flags = recipe["hyperparameters"], [f"--algo {recipe['algo']}"]
+    flags += ["--preset paper"] if agent.endswith("-paper") else []
+    flags += [f"--{key} {recipe[key]}" for key in ("inputs", "draw") if key in recipe]
+    where = f"among 24 people of `{recipe['task'].get('pedestrian_model', 'macid')}`"
+    if "draw" in recipe:
+        where = f"in settings of the draw `{recipe['draw']}`"
+    if "rounds" in tuned:  # imitation
+        flags.append(f"--teacher {tuned['expert']}")
+        network = f"a recurrent network of {UNITS} units"
+    else:
+        network = f"networks of ({', '.join(map(str, tuned['hidden']))})"
     return (
-        f"Made by `bson train --algo {recipe['algo']}{preset} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
-        f"control steps of 0.1 s among 24 people of `{people}`; networks of "
-        f"({', '.join(map(str, recipe['hyperparameters']['hidden']))}). "
+        f"Made by `bson train {' '.join(flags)} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
+        f"control steps of 0.1 s {where}; {network}. "
         f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
         f"episodes (SNS {recipe['validation']['SNS']:.1f})."
     )

@@ -1,5 +1,6 @@
 """tools/reproduce_table3.py, but for the trainings."""
 
+import dataclasses
 import importlib.util
 import json
 import pathlib
@@ -76,6 +77,26 @@ def test_a_robot_of_the_papers_preset_has_its_hyperparameters(tmp_path):
     assert table3.wanted("ppo", "macid", 1, 1000, tmp_path).hyperparameters == PRESETS["fast"]["ppo"]
 
 
+def test_the_papers_size_is_the_papers_with_one_update_a_step(tmp_path):
+    for algo in ("sac", "tac", "bc"):
+        chosen = table3.wanted(algo, "macid", 0, 1000, tmp_path, "paper").hyperparameters
+        assert chosen.hidden == (1024, 1024)
+        assert algo == "bc" or (chosen.steps_per_update, chosen.alpha, chosen.joint) == (1, 0.2, True)
+    assert table3.wanted("tac", "macid", 0, 1000, tmp_path, "paper").hyperparameters.q == 1.2
+    assert table3.wanted("bc", "macid", 0, 1000, tmp_path, "paper").hyperparameters.expert.endswith("ppo-0/policy.npz")
+
+
+@pytest.mark.slow
+def test_a_tiny_table_at_the_papers_size(tmp_path, monkeypatch, capsys):
+    small = {name: dataclasses.replace(each, hidden=(8,)) for name, each in table3.SIZES["paper"].items()}
+    small |= {name: dataclasses.replace(small[name], learning_starts=32) for name in ("sac", "tac")}
+    monkeypatch.setitem(table3.SIZES, "paper", small)
+    words = ["--size", "paper", "--algos", "sac", "tac", "bc", "--seeds", "1", "--steps", "640", "--episodes", "1"]
+    monkeypatch.setattr("sys.argv", ["reproduce_table3", "--out", str(tmp_path), *words, "--tables", "table3"])
+    assert table3.main() == 0
+    assert {line.split(" ")[1] for line in (tmp_path / "table3.md").read_text().splitlines()} >= {"sac", "tac", "bc"}
+
+
 def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
     trained = []
     monkeypatch.setattr(table3, "train_with_bar", lambda config, *_, **__: trained.append(config.seed))
@@ -111,7 +132,13 @@ def test_the_carry_over_table_has_each_crowd_and_their_mean():
 
 @pytest.mark.parametrize(
     "words",
-    [["--seeds", "0"], ["--steps", "inf"], ["--ship", "x", "--episodes", "3"], ["--ship", "x", "--tables", "lcf"]],
+    [
+        ["--device", "abacus"],
+        ["--seeds", "0"],
+        ["--steps", "inf"],
+        ["--ship", "x", "--episodes", "3"],
+        ["--ship", "x", "--tables", "lcf"],
+    ],
 )
 def test_a_wrong_request_is_told(words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["reproduce_table3", "--out", str(tmp_path), *words])

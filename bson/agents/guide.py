@@ -1,0 +1,191 @@
+"""What guided robots see (bson.guided) of a world: with the map and people's places, or by the LIDAR alone."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bson import guided
+from bson.agents.contract import Setting
+from bson.agents.global_view import GlobalView
+from bson.agents.scan_map import ScanMap
+from bson.agents.tracking import Tracking, TrackingConfig
+from bson.agents.ways import Ways
+from bson.features import SCANS, closeness
+from bson.planners import Grid
+from macid import geometry
+
+MARGIN = 0.15  # between the robot's circle and walls on its way [m]
+_FIELD = math.radians(135.0)  # to either side of the LIDAR's middle
+_SEEN = 0.6  # a person is in sight where the beam ends at most this much nearer than its middle [m]
+_MAP_SHARE = 1.5  # side of the map that a robot makes itself, in sides of the world's
+_REPLAN = 3.0  # at least so often a way on that map is looked for anew, as walls may have gone [s]
+_LOOK = 0.2  # between two looks whether walls were found on the way [s]
+
+
+class Memory:
+    """The last scans, of which the vector of bson.guided tells beside what is ahead. task: a TaskConfig or Setting."""
+
+    def __init__(self, task: Any):
+        self._top = (task.robot.max_speed, task.robot.max_yaw_rate)
+        self._radii = task.robot.radius + task.person_radius
+        self._scans: np.ndarray | None = None
+
+    def vector(
+        self,
+        observation: Mapping[str, np.ndarray],
+        ahead: tuple[np.ndarray, np.ndarray, float],
+        people: tuple[np.ndarray, np.ndarray],
+    ) -> np.ndarray:
+        """The vector (guided.SIZE,) of one world. ahead: as Ways.ahead gives it; people: places and velocities (n, 2).
+        All in the robot frame [m, m/s]. To be called in each control step."""
+        scan = closeness(observation["lidar"])
+        if self._scans is None:
+            self._scans = np.repeat(scan[None], SCANS[-1] + 1, axis=0)
+        else:
+            self._scans[1:] = self._scans[:-1]
+            self._scans[0] = scan
+        aim, beyond, length = ahead
+        own_velocity = np.array([observation["velocity"][0], 0.0])
+        return np.concatenate(
+            [
+                guided.own(observation, aim, beyond, np.asarray(length), self._top),
+                self._scans[np.array(SCANS)].ravel(),
+                guided.people(*people, own_velocity, self._radii).ravel(),
+            ]
+        )
+
+
+class Guide:
+    """The guide of one robot of a `task` (a TaskConfig or a Setting) in one episode, with the map's `grid`, inflated by
+    the robot, and its `goal` (2,)."""
+
+    def __init__(self, task: Any, grid: Grid, goal: np.ndarray):
+        self._ways, self._memory, self._period = Ways(grid, goal), Memory(task), task.control_period
+        self._people: np.ndarray | None = None
+        self.length = 0.0  #: of the way from the last place seen [m]
+
+    def see(
+        self, observation: Mapping[str, np.ndarray], pose: np.ndarray, people: np.ndarray, in_sight: bool = False
+    ) -> np.ndarray:
+        """The vector (guided.SIZE,) of one world's Local `observation`, of the robot's `pose` (3,) and of people's
+        places (K, 2), world frame [m, rad]; to be called in each control step.
+
+        People count as standing until they were seen twice. in_sight: whether only those whom the LIDAR sees are told
+        of.
+        """
+        aim, beyond, self.length = self._ways.ahead(pose[:2])
+        before = people if self._people is None else self._people
+        self._people = people.copy()
+        velocity = geometry.to_body((people - before) / self._period, pose[2])
+        place = geometry.to_body(people - pose[:2], pose[2])
+        if in_sight:
+            seen = visible(place, observation["lidar"])
+            place, velocity = place[seen], velocity[seen]
+        aim, beyond = geometry.to_body(np.stack([aim, beyond]) - pose[:2], pose[2])
+        return self._memory.vector(observation, (aim, beyond, self.length), (place, velocity))
+
+
+def visible(place: np.ndarray, lidar: np.ndarray) -> np.ndarray:
+    """Whether the scan `lidar` (beams,) [m] sees the people at `place` (n, 2), robot frame [m]: (n,) bool."""
+    angle, distance = np.arctan2(place[:, 1], place[:, 0]), np.hypot(place[:, 0], place[:, 1])
+    beam = np.rint((angle + _FIELD) / (2 * _FIELD) * (len(lidar) - 1)).astype(int).clip(0, len(lidar) - 1)
+    return (np.abs(angle) < _FIELD) & (lidar[beam] > distance - _SEEN)
+
+
+def grown_by(occupied: np.ndarray, radius: float, resolution: float) -> np.ndarray:
+    """Cells (rows, columns) whose centre is within `radius` [m] of an occupied cell of the side `resolution` [m]: those
+    of Grid.inflated but for the map's edge, sooner where few cells are occupied."""
+    reach = int(radius / resolution + 0.5)
+    offsets = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    gaps = np.maximum(np.abs(offsets) - 0.5, 0.0) * resolution
+    offsets = offsets[np.hypot(*gaps.T) <= radius]
+    cells = (np.argwhere(occupied)[:, None] + offsets).reshape(-1, 2)
+    cells = cells[((cells >= 0) & (cells < occupied.shape)).all(axis=-1)]
+    grown = np.zeros_like(occupied)
+    grown[tuple(cells.T)] = True
+    return grown
+
+
+class MapSight:
+    """Sees by the map and people's places of the Global track. Call `reset` as an episode begins, then `see`."""
+
+    track = "global"
+
+    def __init__(self, setting: Setting):
+        self._setting, self._view = setting, GlobalView(setting)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins an episode."""
+        self._view.reset()
+        self._guide: Guide | None = None
+
+    def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The vector (guided.SIZE,) of one world's observation."""
+        view = self._view
+        view.see(observation)
+        if self._guide is None:
+            self._guide = Guide(self._setting, view.map.inflated(self._setting.robot.radius + MARGIN), view.goal)
+        return self._guide.see(observation, view.pose, view.people)
+
+
+class ScanSight(Tracking):
+    """Sees by the LIDAR alone: people are tracked, and the way leads over a map that the robot makes of the walls that
+    it has met; what it has not seen is free, so that a new way is looked for where walls are found on the old one (as
+    in D* Lite, Koenig and Likhachev, AAAI 2002)."""
+
+    track = "local"
+
+    def __init__(self, setting: Setting):
+        super().__init__(setting, TrackingConfig())
+        self._setting = setting
+        self._replan, self._look_every = setting.steps(_REPLAN), setting.steps(_LOOK)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins an episode."""
+        self.forget()
+        self._map: ScanMap | None = None
+        self._ways: Ways | None = None
+        self._part: tuple[slice, ...] = ()  # of the map, over which the ways lead
+        self._memory, self._planned = Memory(self._setting), 0
+
+    def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:  # type: ignore[override]
+        """The vector (guided.SIZE,) of one world's observation."""
+        step = self._steps
+        super().see(np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float), observation)
+        if self._ways is None or step % self._look_every == 0:
+            self._plan(step)
+        assert self._ways is not None
+        aim, beyond, length = self._ways.ahead(self._position)
+        aim, beyond = (np.stack([aim, beyond]) - self._position) @ self._rotation
+        return self._memory.vector(observation, (aim, beyond, length), self.people)
+
+    def _plan(self, step):
+        """Looks for a way where there is none, or walls were found on it, or the last look was long ago."""
+        assert self._map is not None
+        occupied = self._map.occupied
+        old = self._ways is None or step - self._planned >= self._replan
+        if self._ways is not None and not old and not self._ways.blocked(occupied[self._part], self._position):
+            return
+        # No shortest way leaves the rectangle around its ends and all walls by more than it keeps off them.
+        radius, size = self._setting.robot.radius + MARGIN, self._map.resolution
+        ends = np.floor((np.stack([self._position, np.zeros(2)]) - self._map.origin) / size).astype(int)[:, ::-1]
+        inside = np.concatenate([np.argwhere(occupied), ends.clip(0, np.array(occupied.shape) - 1)])
+        border = 2 + int(np.ceil(radius / size))
+        low = np.maximum(inside.min(axis=0) - border, 0)
+        self._part = tuple(map(slice, low, inside.max(axis=0) + border + 1))
+        grown = grown_by(occupied[self._part], radius, size)
+        self._ways = Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))
+        self._planned = step
+
+    def _look(self, scan):
+        if self._map is None:
+            setting = self._setting.map
+            self._map = ScanMap(self._scan, _MAP_SHARE * setting.size, setting.resolution, self._position / 2)
+        centres, beams = self._find_people(scan)
+        self._track(centres @ self._rotation.T + self._position, scan)
+        self._map.add(scan, beams, self._position, self._rotation)
+        return centres
