@@ -1,6 +1,7 @@
 """tools/reproduce_table3.py, but for the trainings."""
 
 import dataclasses
+import functools
 import importlib.util
 import json
 import pathlib
@@ -91,10 +92,11 @@ def test_a_tiny_table_at_the_papers_size(tmp_path, monkeypatch, capsys):
     small = {name: dataclasses.replace(each, hidden=(8,)) for name, each in table3.SIZES["paper"].items()}
     small |= {name: dataclasses.replace(small[name], learning_starts=32) for name in ("sac", "tac")}
     monkeypatch.setitem(table3.SIZES, "paper", small)
-    words = ["--size", "paper", "--algos", "sac", "tac", "bc", "--seeds", "1", "--steps", "640", "--episodes", "1"]
+    monkeypatch.setattr(table3, "TrainConfig", functools.partial(table3.TrainConfig, validate_episodes=1))
+    words = ["--size", "paper", "--algos", "sac", "bc", "--seeds", "1", "--steps", "320", "--episodes", "1"]
     monkeypatch.setattr("sys.argv", ["reproduce_table3", "--out", str(tmp_path), *words, "--tables", "table3"])
     assert table3.main() == 0
-    assert {line.split(" ")[1] for line in (tmp_path / "table3.md").read_text().splitlines()} >= {"sac", "tac", "bc"}
+    assert {line.split(" ")[1] for line in (tmp_path / "table3.md").read_text().splitlines()} >= {"sac", "bc"}
 
 
 def test_who_is_trained_is_not_trained_again(tmp_path, monkeypatch):
