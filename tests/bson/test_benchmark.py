@@ -120,7 +120,7 @@ from bson import benchmark
 benchmark.compare(sys.argv[1:], "compared")
 benchmark.leaderboard(sys.argv[1:])
 benchmark.Results.load(sys.argv[1]).metrics["SNS"]
-print(*sorted({"jax", "jaxlib", "mujoco", "torch", "cv2", "ray", "scipy"} & set(sys.modules)))
+print(*sorted({"jax", "jaxlib", "mujoco", "torch", "cv2", "ray"} & set(sys.modules)))
 """
 
 

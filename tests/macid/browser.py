@@ -138,7 +138,7 @@ class Tab:
             }
             return false;
         })"""
-        assert self.run(f"{script}({json.dumps(label)})"), label
+        until(lambda: self.run(f"{script}({json.dumps(label)})"))  # it may come with what was just clicked
         self.key(key, True)
         self.key(key, False)
 
