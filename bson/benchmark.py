@@ -33,7 +33,6 @@ from macid.files import (
     output_folder,
     remove_leftovers,
     write_bytes,
-    write_json,
 )
 
 
@@ -665,15 +664,11 @@ def compare(results: Sequence[Any], out: str | pathlib.Path | None = None) -> di
     for compare.json and compare.html; None: nothing is written. Raises ValueError where they can't be compared.
     """
     from bson.reporting.compare import Group, compare, make_page
+    from bson.reporting.page import publish
 
     content = compare([each if isinstance(each, Group) else _loaded(each) for each in results])
     if out is not None:
-        page, folder = make_page(content), check_folder(out)
-        for file in ("compare.json", "compare.html"):
-            check_file(folder / file)
-        with lock_folder(folder):
-            write_json(folder / "compare.json", content)
-            write_bytes(folder / "compare.html", page.encode())
+        publish(out, "compare", content, make_page(content))
     return content
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from macid import encounters, networks
 from macid.geometry import Array
 from macid.networks import Layers, check_layers, write_network
-from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
+from macid.readings import MOST_READING, as_readings, is_traced, within
 from macid.state import MAX_LCF
 
 RELAXATION = 0.3  # [s]
@@ -212,13 +212,7 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     beyond MOST_READING, an LCF outside [-MAX_LCF, MAX_LCF], what is no number, a wrong shape. Under jax.jit only shapes
     and types can be refused: NaN then reads as 0, and a number outside its range as its nearer end.
     """
-    observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
-    check_shapes(observed.shape, lcf.shape, encounters.SIZE, "macid.encounters")
-    xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
-    if is_traced(lcf):
-        lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
-    else:
-        check_lcf(np.asarray(lcf))
+    observed, lcf, xp = as_readings(observed, lcf, encounters.SIZE, "macid.encounters")
     least, most = (xp.asarray(limit) for limit in _LIMITS)
     if not is_traced(observed):
         values = np.asarray(observed)

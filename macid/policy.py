@@ -22,7 +22,7 @@ from macid.encounter_policy import EncounterPolicy
 from macid.files import UsageError
 from macid.geometry import Array
 from macid.networks import ENCODER, check_layers, mlp, write_network
-from macid.readings import MOST_READING, as_numbers, check_lcf, check_shapes, is_traced, within
+from macid.readings import MOST_READING, as_readings, check_lcf, check_shapes, is_traced, within
 from macid.state import MAX_LCF, MAX_SPEED, MAX_YAW_RATE, PHYSICS_STEP, RADII, TOP_SPEED, physics_steps
 
 HIDDEN = (64, 64, 64)
@@ -211,13 +211,7 @@ def understood(observed: Array, lcf: Array) -> tuple[Array, Array]:
     isn't understood: RAY_RANGE of an unknown distance, 0 of a negative one, 0 of another NaN, and the nearer end of its
     range of a number outside it.
     """
-    observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
-    check_shapes(observed.shape, lcf.shape, observation.SIZE, "macid.observation")
-    xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
-    if is_traced(lcf):
-        lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
-    else:
-        check_lcf(np.asarray(lcf))
+    observed, lcf, xp = as_readings(observed, lcf, observation.SIZE, "macid.observation")
     if is_traced(observed):
         ray = [0.0, -MOST_READING, -MOST_READING]
         least = xp.asarray([-MOST_READING] * 5 + ray * observation.RAYS, dtype=np.float32)

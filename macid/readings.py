@@ -51,6 +51,19 @@ def check_shapes(observed: tuple[int, ...], lcf: tuple[int, ...], size: int, mod
         raise ValueError(f"Observations {tuple(observed)} take {wanted}, not {tuple(lcf)}.")
 
 
+def as_readings(observed: Array, lcf: Array, size: int, module: str) -> tuple[Array, Array, Any]:
+    """(observations (..., size), LCFs that fit them, the array namespace of both), float32 arrays; LCFs are checked, or
+    bounded where they are traced. module: as of `check_shapes`. Raises ValueError."""
+    observed, lcf = as_numbers(observed, "An observation"), as_numbers(lcf, "An LCF")
+    check_shapes(observed.shape, lcf.shape, size, module)
+    xp = (lcf if is_traced(lcf) else observed).__array_namespace__()
+    if is_traced(lcf):
+        lcf = within(xp, lcf, -MAX_LCF, MAX_LCF)
+    else:
+        check_lcf(np.asarray(lcf))
+    return observed, lcf, xp
+
+
 def check_lcf(lcf: np.ndarray) -> None:
     """Raises ValueError unless every number of the NumPy array is an LCF."""
     good = np.abs(lcf) <= MAX_LCF

@@ -9,11 +9,12 @@ import msgspec
 
 from bson.evaluation.results import Results
 from bson.evaluation.verify import read_record, results_hash, why_unverified
+from bson.reporting import page
 from bson.reporting.cards import FILE, card_of
 from bson.reporting.heatmap import Scale, Tile, cell_maps
 from bson.reporting.leaderboard import COLUMNS, by_suite, played
 from bson.reporting.page import DASH, render
-from macid.files import UsageError, check_file, check_folder, lock_folder, write_bytes, write_json
+from macid.files import UsageError
 
 FORMAT = 1  # of board.json
 _FIGURES = ("SNS", *(metric for metric, _, _ in COLUMNS))
@@ -120,10 +121,5 @@ def publish(runs: Sequence[Results], out: str | pathlib.Path, everything: bool =
     """Writes board.json and board.html to the folder `out`, as `bson leaderboard --out` does; returns what is to be
     told in lines. Raises ValueError as make_board does."""
     content, lines = make_board(runs, everything)
-    page, folder = make_page(content), check_folder(out)
-    for file in ("board.json", "board.html"):
-        check_file(folder / file)
-    with lock_folder(folder):
-        write_json(folder / "board.json", content)
-        write_bytes(folder / "board.html", page.encode())
+    page.publish(out, "board", content, make_page(content))
     return lines

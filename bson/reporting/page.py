@@ -11,9 +11,22 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from macid.files import check_file, check_folder, lock_folder, write_bytes, write_json
+
 INK, ACCENT, BAD, GRID = "#1d2733", "#1f6f8b", "#c0392b", "#d9dfe5"
 DASH = Markup("&ndash;")  # where there is no value
 BETTER = {"up": Markup("&uarr;"), "down": Markup("&darr;"), "": ""}  # {a metric's `better`: its arrow}
+
+
+def publish(out: str | pathlib.Path, name: str, content: Any, page: str) -> None:
+    """Writes `content` to NAME.json and `page` to NAME.html in the folder `out`. Raises UsageError, before anything is
+    written, where one of them can't be."""
+    folder = check_folder(out)
+    for file in (f"{name}.json", f"{name}.html"):
+        check_file(folder / file)
+    with lock_folder(folder):
+        write_json(folder / f"{name}.json", content)
+        write_bytes(folder / f"{name}.html", page.encode())
 
 
 def numbers(*values: float, digits: int | None = None, signed: bool = False) -> list[str]:

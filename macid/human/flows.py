@@ -134,7 +134,7 @@ def exit_cast(place: Bottleneck, number: int, body: Body, rng: np.random.Generat
     room = max(0.0, place.exit / 2 - body.radius)
     middle = place.width / 2
     goals = np.stack([middle + np.clip(places[:, 0] - middle, -room, room), np.full(number, place.exit_y - BEYOND)], -1)
-    return _cast(places, goals, np.zeros((number, 2)), speed(number), LONGEST)
+    return cast_of(places, goals, np.zeros((number, 2)), speed(number), LONGEST)
 
 
 def ring_layout() -> Layout:
@@ -152,7 +152,7 @@ def ring_cast(density: float, body: Body, rng: np.random.Generator, speed: Calla
         return None
     places = jittered(rng, places, body.radius, RING) - np.array([0.0, RING / 2])
     ahead = np.tile([0.0, -1.0], (len(places), 1))
-    return _cast(
+    return cast_of(
         places, places + 10.0 * ahead, max(0.5, 1.7 - 0.5 * density) * ahead, speed(len(places)), SETTLES + RUNS
     )
 
@@ -163,10 +163,17 @@ def two_ways_layout() -> Layout:
     return Layout(2 * (reach + 4.0), np.array(_sides(CORRIDOR.width, -reach, reach)))
 
 
-def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
-    """`side` people on each side, at rest, who start towards each other. The first half of the cast goes towards
-    greater y. As a crowd draws out on its way, it begins denser than half of what both are to be in the middle."""
-    density = DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
+def begin_density(side: int) -> float:
+    """The density [1/m2] at which `side` people on each side begin: as a crowd draws out on its way, it is denser than
+    half of what both are to be in the middle."""
+    return DENSER * figures.SIDE_DENSITIES[figures.SIDES.index(side)] / 2
+
+
+def two_ways_cast(
+    side: int, density: float, body: Body, rng: np.random.Generator, speed: Callable, until: float = CROSSING
+) -> Cast:
+    """`side` people on each side, at rest, at `density` [1/m2], who start towards each other and stay for `until` [s].
+    The first half of the cast goes towards greater y."""
     length = side / (density * CORRIDOR.width)
     places, goals = [], []
     for way in (1.0, -1.0):
@@ -174,10 +181,14 @@ def two_ways_cast(side: int, body: Body, rng: np.random.Generator, speed: Callab
         own[:, 1] = -way * (own[:, 1] + CORRIDOR.half / 2)
         places.append(own)
         goals.append(np.stack([own[:, 0], np.full(side, way * (CORRIDOR.half + BEYOND))], axis=-1))
-    return _cast(np.concatenate(places), np.concatenate(goals), np.zeros((2 * side, 2)), speed(2 * side), CROSSING)
+    return cast_of(np.concatenate(places), np.concatenate(goals), np.zeros((2 * side, 2)), speed(2 * side), until)
 
 
-def _cast(places, goals, velocity, speed, until):
+def cast_of(
+    places: np.ndarray, goals: np.ndarray, velocity: np.ndarray, speed: np.ndarray | None, until: float
+) -> Cast:
+    """People who are all there from the beginning, at `places` (N, 2) [m] with `velocity` (N, 2) [m/s], until
+    `until` [s]."""
     number = len(places)
     return Cast(np.zeros(number), np.full(number, until), places, velocity, goals, speed)
 
@@ -233,7 +244,7 @@ def flows(
         tell(f"two ways: {side} a side")
     made = play(
         two_ways_layout(),
-        lambda rng, own: [two_ways_cast(side, body, rng, own) for side in figures.SIDES],
+        lambda rng, own: [two_ways_cast(side, begin_density(side), body, rng, own) for side in figures.SIDES],
         until=CROSSING,
     )
     for index, runs in enumerate(made):

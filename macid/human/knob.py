@@ -17,7 +17,7 @@ import numpy as np
 from macid import metrics
 from macid.human import figures
 from macid.human.data import LAB_PERIOD
-from macid.human.flows import CORRIDOR, crowded, two_ways_layout
+from macid.human.flows import CORRIDOR, cast_of, two_ways_cast, two_ways_layout
 from macid.human.stage import Body, Cast, Stage
 from macid.layout import Layout
 from macid.pedestrians import Controller
@@ -52,20 +52,11 @@ def sidesteps(walks: np.ndarray) -> np.ndarray:
 def crowd_cast(where: str, body: Body, rng: np.random.Generator, speed: Callable) -> Cast:
     """A crowd whose people cross a square, or a corridor's two ways."""
     if where == "corridor":
-        side = CROWD // 2
-        length = side / (DENSITY * CORRIDOR.width)
-        places, goals = [], []
-        for way in (1.0, -1.0):
-            own = crowded(side, CORRIDOR.width, length, body.radius, rng)
-            own[:, 1] = -way * (own[:, 1] + CORRIDOR.half / 2)
-            places.append(own)
-            goals.append(own * [1.0, 0.0] + [0.0, way * 2 * CORRIDOR.half])
-        places, goals = np.concatenate(places), np.concatenate(goals)
-    else:
-        angles = (np.arange(CROWD) + rng.uniform(-0.2, 0.2, CROWD)) * (2 * np.pi / CROWD)
-        places = SQUARE / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        goals = -places + rng.uniform(-1.0, 1.0, places.shape)
-    return _cast(places, goals, speed(CROWD))
+        return two_ways_cast(CROWD // 2, DENSITY, body, rng, speed, LONGEST)
+    angles = (np.arange(CROWD) + rng.uniform(-0.2, 0.2, CROWD)) * (2 * np.pi / CROWD)
+    places = SQUARE / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    goals = -places + rng.uniform(-1.0, 1.0, places.shape)
+    return cast_of(places, goals, np.zeros_like(places), speed(CROWD), LONGEST)
 
 
 def pair_cast(where: str, rng: np.random.Generator) -> Cast:
@@ -73,12 +64,7 @@ def pair_cast(where: str, rng: np.random.Generator) -> Cast:
     middle = CORRIDOR.width / 2 if where == "corridor" else 0.0
     aside = rng.uniform(-_ASIDE, _ASIDE)
     places = np.array([[middle, -_FAR], [middle + aside, _FAR]])
-    return _cast(places, places * [1.0, -2.0], np.full(2, 1.34))
-
-
-def _cast(places, goals, speed):
-    number = len(places)
-    return Cast(np.zeros(number), np.full(number, LONGEST), places, np.zeros((number, 2)), goals, speed)
+    return cast_of(places, places * [1.0, -2.0], np.zeros_like(places), np.full(2, 1.34), LONGEST)
 
 
 def knob(
@@ -104,29 +90,27 @@ def knob(
         tell(f"the LCF's knob: {where}")
         layout = two_ways_layout() if where == "corridor" else Layout(4 * SQUARE, np.zeros((0, 5)))
 
-        def play(make, each, layout=layout, where=where):
+        def play(make, lcfs, each, layout=layout, where=where):
             casts = []
             for seed in seeds:  # the same crowds for every LCF
-                for lcf in LCFS:
-                    rng = np.random.default_rng((seed, 0x10B, WHERE.index(where)))
-                    casts += [make(rng, lcf) for _ in range(each)]
+                rng = np.random.default_rng((seed, 0x10B, WHERE.index(where)))
+                drawn = [make(rng) for _ in range(each)]
+                casts += [cast._replace(lcf=lcfs(lcf)) for lcf in LCFS for cast in drawn]
             stage = Stage(layout, casts, LONGEST, controller, period, body, np.random.default_rng(0), engine)
             played = stage.play(LAB_PERIOD)
             rows = [played[start : start + each] for start in range(0, len(played), each)]
             return [rows[start : start + len(LCFS)] for start in range(0, len(rows), len(LCFS))]
 
-        def crowd(rng, lcf, where=where):
-            cast = crowd_cast(where, body, rng, lambda number: speed(rng, number))
-            return cast._replace(lcf=np.full(CROWD, lcf))
+        def crowd(rng, where=where):
+            return crowd_cast(where, body, rng, lambda number: speed(rng, number))
 
-        def pair(rng, lcf, where=where):
-            return pair_cast(where, rng)._replace(lcf=np.array([lcf, 0.0]))
-
+        crowds = play(crowd, lambda lcf: np.full(CROWD, lcf), CROWDS)
+        pairs = play(lambda rng, where=where: pair_cast(where, rng), lambda lcf: np.array([lcf, 0.0]), PAIRS)
         touch = [
             [100.0 * float(np.mean([touch_share(walks, body.radius) for walks in runs])) for runs in seed]
-            for seed in play(crowd, CROWDS)
+            for seed in crowds
         ]
-        way = [[_own_share(runs) for runs in seed] for seed in play(pair, PAIRS)]
+        way = [[_own_share(runs) for runs in seed] for seed in pairs]
         for name, rows in (("touch", touch), ("way", way)):
             found[name][where] = [[figures.rounded(value) for value in row] for row in rows]
             found[f"{name}_rank"][where] = [figures.rounded(metrics.rank_correlation(row)) for row in rows]

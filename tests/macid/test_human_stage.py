@@ -142,7 +142,7 @@ def test_a_crowd_begins_before_its_exit_and_its_goals_lie_behind_it():
     crowd = flows.exit_cast(place, 40, Body(0.2), rng, lambda number: None)
     assert (crowd.place[:, 1] > place.exit_y + 0.2).all() and (crowd.goal[:, 1] < place.exit_y).all()
     assert (np.abs(crowd.goal[:, 0] - 0.9) <= 0.4 + 1e-9).all()
-    both = flows.two_ways_cast(18, Body(0.2), rng, lambda number: None)
+    both = flows.two_ways_cast(18, flows.begin_density(18), Body(0.2), rng, lambda number: None)
     assert len(both.place) == 36 and (both.place[:18, 1] < 0).all() and (both.place[18:, 1] > 0).all()
     assert (both.goal[:18, 1] > 4).all() and (both.goal[18:, 1] < -4).all()
 
