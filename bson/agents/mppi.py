@@ -66,6 +66,7 @@ class MppiConfig:
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
     wall_room: float = 0.3  # a gap that is smaller by this much costs
     wall_weight: float = 100.0  # of a touch [points/s]
+    wall_cost: float = 300.0  # of a metre of way nearer to a wall than half the robot's width: of no discount
     time_weight: float = 6.0  # [points/s]
     length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
@@ -250,7 +251,10 @@ def _costs(config, world, x, y, yaw, v):
     risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
     cost = c.person_weight * jnp.sum(weight * risk, axis=0)
     place = _lookup(world, x, y)
-    clear = _read(world.clearance.ravel(), place) - world.robot[5] - c.wall_gap
+    clear = _read(world.clearance.ravel(), place)
+    through = step * jnp.sum(jnp.abs(v) * going * (clear < world.robot[4]), axis=0)  # no way leads through a wall
+    cost += (c.length_weight + c.time_weight / world.robot[0]) * c.wall_cost * through
+    clear = clear - world.robot[5] - c.wall_gap
     cost += c.wall_weight * jnp.sum(weight * jnp.maximum(1.0 - clear / c.wall_room, 0.0) ** 2, axis=0)
     left = _read(world.way.ravel(), (place[0][-1], place[1][-1], place[2][-1]))
     left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - _arrived(world, x[-1], y[-1]))

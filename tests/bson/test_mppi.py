@@ -162,6 +162,13 @@ def test_out_of_a_trap_it_arrives_without_touching_a_wall(agents, name):
         assert len(poses) - 1 < 75
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_round_a_long_thin_wall_it_drives_however_near_the_goal_is_behind_it(agents, name):
+    poses, _, gap = drive(agents[name], walls=np.array([[1.5, 2.0, 0.125, 11.0, 0.0]]), steps=400)
+    assert math.dist(poses[-1, :2], GOAL) <= 0.5
+    assert gap > 0.01
+
+
 def test_a_mirrored_world_gives_the_mirrored_action(agents):
     agent = agents["mppi"]
     rng, flip = np.random.default_rng(0), np.array([1.0, -1.0])
