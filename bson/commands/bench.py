@@ -8,7 +8,7 @@ from macid.files import UsageError, check_file, new_folder, write_json
 
 def _bench(args):
     from bson import bench
-    from bson.benchmark import agents_extra
+    from bson.benchmark.training import agents_extra
     from bson.task import TaskConfig
     from macid.pedestrians import make_controller
 
