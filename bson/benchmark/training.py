@@ -56,7 +56,7 @@ def train(
     with agents_extra():
         from bson.learning.train import TrainConfig, hyperparameters
 
-    chosen = hyperparameters(algo, preset)
+    chosen = hyperparameters(algo, preset, inputs)
     if demonstrations is not None:
         from bson.learning.dataset import check_demonstrations
         from bson.task import TaskConfig
@@ -66,26 +66,20 @@ def train(
         if executor != "local":
             raise UsageError("--demonstrations are read in this process: leave --executor out.")
         check_demonstrations(demonstrations, TaskConfig().replace(**overrides or {}))
-        chosen = dataclasses.replace(chosen, demonstrations=demonstrations)
-    if inputs != "scans" and algo == "bc":
-        chosen = None if preset == "fast" and demonstrations is None else chosen
+        chosen = dataclasses.replace(hyperparameters(algo, preset), demonstrations=demonstrations)
     if teacher is not None:
-        chosen = _pupils_hyperparameters(algo, inputs, teacher)
+        from bson.agents import load_agent
+
+        if algo != "bc" or inputs == "scans":
+            told = f"not {algo} on {inputs}"
+            raise UsageError(f"--teacher is whom bc imitates with --inputs gru, gru-map or camera, {told}.")
+        load_agent(teacher)
+        chosen = dataclasses.replace(chosen, expert=teacher)
     configs = [
         TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen, inputs=inputs, draw=draw)
         for one in range(seed, seed + seeds)
     ]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
-
-
-def _pupils_hyperparameters(algo, inputs, teacher):
-    from bson.agents import load_agent
-    from bson.learning.dagger import DaggerConfig
-
-    if algo != "bc" or inputs == "scans":
-        raise UsageError(f"--teacher is whom bc imitates with --inputs gru, gru-map or camera, not {algo} on {inputs}.")
-    load_agent(teacher)
-    return DaggerConfig(teacher)
 
 
 def train_configs(
