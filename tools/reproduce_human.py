@@ -6,8 +6,8 @@ Writes OUT/human.json (what each seed of a model has of each measure, as the mod
 `matched`: open scenes in which everybody walks at its real one's mean speed; `knob`: what its LCF does) and
 OUT/human.md (the main measures' means, a row a model). Each measurement is kept in OUT/rows, so a stopped run goes on
 where it was. Models may be measured apart, with other numbers of seeds: `tools/make_pages.py --people OUT/human.json`
-puts each one's row into the table of the pages. Without --data, flows and knob alone. With --executor ray, models are measured side by side, on this
-machine's cores or on a cluster's; all else is as without.
+puts each one's row into the table of the pages. Without --data, flows and knob alone. With --executor ray, models are
+measured side by side, on this machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
