@@ -6,8 +6,8 @@ Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.
 one kind of pedestrian, tested among each, among one that none has met, and on `street`) and lcf.md (the score by the
 LCF of everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where
 it was. Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the
-seeds of a training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all
-else is as without.
+seeds of a training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a
+cluster's; all else is as without.
 
 With --size paper the networks of SAC, TAC and BC have the paper's (1024, 1024), with one update a control step: hours
 for each on a GPU (--device cuda), weeks on a few cores.
