@@ -81,15 +81,21 @@ def _own(found, name):
 KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
 
 
-def hyperparameters(algo: str, preset: str = "fast") -> Any:
-    """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset.
-    Raises UsageError, naming the valid choices."""
+INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
+PUPILS = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]  # those with a recurrent network
+
+
+def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans") -> Any:
+    """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset,
+    and bc in the preset "fast" has RECURRENT for the `inputs` PUPILS. Raises UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
-    return PRESETS[preset].get(algo) or KIND.load(algo)
+    usual = KIND.load(algo)
+    if algo == "bc" and preset == "fast" and inputs in PUPILS:
+        return RECURRENT
+    return PRESETS[preset].get(algo, usual)
 
 
-INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
 _RECENT = 100  # number of ended episodes in the curve's means
@@ -112,7 +118,7 @@ class TrainConfig:
     draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
 
     def __post_init__(self):
-        found = KIND.load(self.algo)
+        usual = hyperparameters(self.algo, inputs=self.inputs)
         for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
@@ -126,13 +132,12 @@ class TrainConfig:
             if self.inputs == "scans":
                 others = ", ".join(name for name in INPUTS if name != "scans")
                 raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
-        kinds = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]
-        fits = {"bc": ["scans", *kinds]}.get(self.algo, [name for name in INPUTS if name not in kinds])
+        fits = {"bc": ["scans", *PUPILS]}.get(self.algo, [name for name in INPUTS if name not in PUPILS])
         if self.inputs not in fits:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", RECURRENT if self.inputs in kinds else found)
-        if (self.inputs in kinds) != isinstance(self.hyperparameters, DaggerConfig):
+            object.__setattr__(self, "hyperparameters", usual)
+        if (self.inputs in PUPILS) != isinstance(self.hyperparameters, DaggerConfig):
             raise UsageError(f"--inputs {self.inputs} learns with no {type(self.hyperparameters).__name__}.")
 
     @property

@@ -4,7 +4,7 @@ import types
 import pytest
 
 from bson import cli
-from bson.benchmark import to_film
+from bson.benchmark.films import to_film
 from bson.evaluation.suites import suite_names
 from macid import drawing
 
