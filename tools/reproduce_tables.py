@@ -30,6 +30,7 @@ from macid.learning.curves import completed, plain
 from macid.learning.methods import LEVEL_METHODS, METHODS
 from macid.learning.train import TrainConfig, preset, train, train_apart
 from macid.metrics import rank_correlation
+from macid.pages import new_figure
 from macid.policy import load_policy
 from macid.state import PHYSICS_STEP
 
@@ -290,11 +291,7 @@ def knob_table(figure, by_method, levels):
 
 def plot(curves, path):
     """Fig. 2: SR_n against n, a panel a level; curves {name: (levels, TOLERATED)}."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(12, 3.4))
     for index, (axes, level) in enumerate(zip(figure.subplots(1, len(LEVELS)), LEVELS, strict=True)):
         for number, (name, curve) in enumerate(curves.items()):
             style = {"linewidth": 2.6} if name.startswith("macid") else {"linewidth": 1.4, "alpha": 0.85}
