@@ -80,7 +80,7 @@ def _jax():
 def _gl():
     if problem := _trial():
         raise RuntimeError(problem)
-    from macid.drawing import gl_problem
+    from macid.drawing.gl import gl_problem
 
     if problem := gl_problem():
         raise RuntimeError(problem)
@@ -131,7 +131,7 @@ def _sensors():
 
 
 def _cameras():
-    from macid.drawing import gl_problem
+    from macid.drawing.gl import gl_problem
 
     if _trial() or gl_problem():
         raise RuntimeError("not tried: there are no pictures here")

@@ -104,8 +104,9 @@ def watch(
     """
     from tqdm import tqdm
 
-    from macid import drawing, watch
+    from macid import watch
     from macid.crowd import CrowdConfig
+    from macid.drawing import gl
     from macid.evaluate import level_name, table_lcf, usual_period
     from macid.layout import load_level
 
@@ -128,7 +129,7 @@ def watch(
     least, most = lcf or table_lcf(pedestrian)
     people = _people(radius, preferred_speed, max_speed, companions)
     config = CrowdConfig(period=period, duration=seconds, lcf=(least, most), **people)
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     show(f"{pedestrian} on {level_name(level)} ...")
     start.cleaning_up()

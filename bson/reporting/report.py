@@ -64,7 +64,7 @@ def plot_trajectory(episode: Episode) -> Any:
     from matplotlib.patches import Circle, Rectangle
     from matplotlib.transforms import Affine2D
 
-    from macid.drawing import lcf_colour
+    from macid.drawing.colours import lcf_colour
 
     figure = new_figure(figsize=(4.0, 4.0))
     axes = figure.subplots()

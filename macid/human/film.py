@@ -4,7 +4,7 @@ import pathlib
 
 import numpy as np
 
-from macid import drawing
+from macid.drawing import strokes, video
 from macid.human.data import OPEN_PERIOD
 from macid.human.replay import Played, Scene
 
@@ -32,11 +32,11 @@ def film(path: pathlib.Path, scenes: list[Scene], played: Played, name: str, rad
             left = _half(scene, scene.position, begin, time, BODY, (138, 148, 160))
             right = _half(scene, model, begin, time, radius, (31, 111, 139))
             page[_HEAD:, :_SIDE], page[_HEAD:, _SIDE:] = left, right
-            drawing.write(page, f"people, {scene.name}", (12, 27), 0.66, (29, 39, 51))
-            drawing.write(page, name, (_SIDE + 12, 27), 0.66, (29, 39, 51))
+            strokes.write(page, f"people, {scene.name}", (12, 27), 0.66, (29, 39, 51))
+            strokes.write(page, name, (_SIDE + 12, 27), 0.66, (29, 39, 51))
             yield page
 
-    return drawing.write_webm(path, pictures(), len(times), FPS)
+    return video.write_webm(path, pictures(), len(times), FPS)
 
 
 def _half(scene, position, begin, time, radius, colour):
@@ -58,6 +58,6 @@ def _half(scene, position, begin, time, radius, colour):
     for who in np.flatnonzero(~np.isnan(now[:, 0])):
         shade = (176, 180, 184) if scene.stands[who] else colour
         if not np.isnan(later[who, 0]) and not scene.stands[who]:
-            drawing.line(canvas, np.array([now[who], later[who]]), shade, 2.0)
-        drawing.disc(canvas, now[who], max(2.0, radius * metre), shade)
+            strokes.line(canvas, np.array([now[who], later[who]]), shade, 2.0)
+        strokes.disc(canvas, now[who], max(2.0, radius * metre), shade)
     return canvas

@@ -26,7 +26,7 @@ from bson.simulation.people import BOXES, ROWS, decision, rows_for
 from bson.simulation.scene import build_spec, structure
 from bson.simulation.world import MAX_WORLDS, World
 from bson.task import MAX_PEDESTRIANS, TaskConfig
-from macid.drawing import gl_problem
+from macid.drawing.gl import gl_problem
 from macid.pedestrians import make_controller
 from macid.reward import RewardWeights
 from macid.state import CrowdState, parking_place
