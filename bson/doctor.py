@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 
 from macid import start
-from macid.files import run_command, start_mujoco
+from macid.running import run_command, start_mujoco
 
 _PATIENCE = 120  # time for the process that tries to draw [s]
 

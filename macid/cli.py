@@ -15,21 +15,15 @@ from macid.command import (
     MOST_TRAINING_SEED,
     MOST_WORLDS,
     PERIOD,
+    HelpFormatter,
     Parser,
     add_address,
     add_executor,
     check_words,
     name,
 )
-from macid.files import (
-    HelpFormatter,
-    UsageError,
-    check_file,
-    new_folder,
-    run_command,
-    start_mujoco,
-    write_json,
-)
+from macid.files import UsageError, check_file, new_folder, write_json
+from macid.running import run_command, start_mujoco
 from macid.state import MAX_SPEED, RADII, RADIUS, TOP_SPEED
 
 _ENGINE = "native (CPU), mjx or warp (GPU), with options as in warp:contacts=4 (default: the best there is; it is told)"

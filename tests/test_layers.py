@@ -10,7 +10,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 MACID = (
     "geometry start threads pages",
     "state files arrays assets",
-    "documents occupancy cover",
+    "documents occupancy cover running",
     "registry reward contacts",
     "routing layout observation encounters metrics",
     "networks readings",

@@ -37,7 +37,8 @@ from macid import command
 from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
 from macid.evaluate import lcf_bins
 from macid.executors import make_executor
-from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
+from macid.files import UsageError, output_folder, write_bytes, write_json
+from macid.running import run_command
 
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
 PAPER = {

@@ -24,7 +24,7 @@ from macid.crowd import CrowdConfig
 from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.executors import Carried, call, carry_files, make_executor
-from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
+from macid.files import UsageError, output_folder, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
 from macid.learning.curves import completed, plain
 from macid.learning.methods import LEVEL_METHODS, METHODS
@@ -32,6 +32,7 @@ from macid.learning.train import TrainConfig, preset, train, train_apart
 from macid.metrics import rank_correlation
 from macid.pages import new_figure
 from macid.policy import load_policy
+from macid.running import run_command
 from macid.state import PHYSICS_STEP
 
 COLUMNS = ("SR10", "CP", "PE")
