@@ -26,9 +26,10 @@ from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, meas
 from macid.executors import Carried, call, carry_files, make_executor
 from macid.files import UsageError, output_folder, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
+from macid.learning.config import TrainConfig, preset
 from macid.learning.curves import completed, plain
 from macid.learning.methods import LEVEL_METHODS, METHODS
-from macid.learning.train import TrainConfig, preset, train, train_apart
+from macid.learning.train import train, train_apart
 from macid.metrics import rank_correlation
 from macid.pages import new_figure
 from macid.policy import load_policy

@@ -18,7 +18,7 @@ from bson.evaluation.suites import load_suite
 from macid import assets
 from macid import cli as macid_cli
 from macid.layout import LEVELS, OTHER_LEVELS
-from macid.learning.train import preset
+from macid.learning.config import preset
 from macid.policy import load_policy, policy_names
 
 ROOT = pathlib.Path(__file__).parents[2]
