@@ -26,6 +26,7 @@ MACID = (
     "live",
     "parallel_env",
     "bench benchmark command",
+    "commands",
     "cli",
 )
 BSON = (
