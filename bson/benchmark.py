@@ -899,6 +899,7 @@ def train(
     inputs: str = "scans",
     draw: str | None = None,
     teacher: str | None = None,
+    start: str | None = None,
     resume: bool = False,
     tensorboard: bool = False,
     executor: str | Executor = "local",
@@ -913,7 +914,8 @@ def train(
     changed. demonstrations: of bc, what to learn from in place of an expert: a Minari dataset, its id or its folder, or
     the folder `out` of `live`, with what people drove. inputs: what the robot sees, a name of
     bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of bson.learning.draw.draw_names() or a
-    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates. resume: goes on from checkpoints.
+    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates; start: of ppo with one, the policy
+    from which it goes on, a shipped one or a .npz file. resume: goes on from checkpoints.
     executor, ray_address, workers: see macid.executors.make_executor; an executor with several workers trains the seeds
     side by side. Raises UsageError, also where the extra `agents` is missing.
     """
@@ -931,14 +933,12 @@ def train(
             raise UsageError("--demonstrations are read in this process: leave --executor out.")
         check_demonstrations(demonstrations, TaskConfig().replace(**overrides or {}))
         chosen = dataclasses.replace(chosen, demonstrations=demonstrations)
-    if inputs != "scans" and algo == "bc":
-        chosen = None if preset == "fast" and demonstrations is None else chosen
+    if inputs != "scans" and preset == "fast" and demonstrations is None:
+        chosen = None  # what learns with these inputs
     if teacher is not None:
         chosen = _pupils_hyperparameters(algo, inputs, teacher)
-    configs = [
-        TrainConfig(algo, one, int(steps), overrides or {}, worlds, hyperparameters=chosen, inputs=inputs, draw=draw)
-        for one in range(seed, seed + seeds)
-    ]
+    more = {"hyperparameters": chosen, "inputs": inputs, "draw": draw, "start": start}
+    configs = [TrainConfig(algo, one, int(steps), overrides or {}, worlds, **more) for one in range(seed, seed + seeds)]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
 
 
@@ -947,7 +947,9 @@ def _pupils_hyperparameters(algo, inputs, teacher):
     from bson.learning.dagger import DaggerConfig
 
     if algo != "bc" or inputs == "scans":
-        raise UsageError(f"--teacher is whom bc imitates with --inputs gru, gru-map or camera, not {algo} on {inputs}.")
+        raise UsageError(
+            f"--teacher is whom bc imitates with --inputs gru, gru-map, camera or gru-scans, not {algo} on {inputs}."
+        )
     load_agent(teacher)
     return DaggerConfig(teacher)
 
