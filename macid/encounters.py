@@ -44,24 +44,6 @@ _COMFORT = 0.5  # people who come within it, surface to surface, count as met [m
 _SMALL = 1e-6
 
 
-def time_to_collision(position: Array, velocity: Array, reach: Array) -> Array:
-    """When two discs touch [s] (...): infinity for never, 0 where they overlap.
-
-    position, velocity (..., 2): of the other's centre, less one's own [m, m/s]; reach (...): the radii's sum [m].
-    """
-    xp = position.__array_namespace__()
-    a = velocity[..., 0] ** 2 + velocity[..., 1] ** 2
-    b = position[..., 0] * velocity[..., 0] + position[..., 1] * velocity[..., 1]
-    c = position[..., 0] ** 2 + position[..., 1] ** 2 - reach**2
-    discriminant = b**2 - a * c
-    met = (b < 0) & (discriminant > 0)
-    root = xp.sqrt(xp.where(met, discriminant, xp.ones_like(discriminant)))
-    # c / (root - b) is the lesser root of a t^2 + 2 b t + c, without the cancellation in -b - root.
-    time = c / xp.where(met, root - b, xp.ones_like(b))
-    time = xp.where(met, time, xp.full_like(time, math.inf))
-    return xp.where(c <= 0, xp.zeros_like(time), time)
-
-
 def observe(state: CrowdState, boxes: Array, goals: Array, others: CrowdState | None = None) -> Array:
     """Observations (..., K, SIZE) of CrowdState `state` (..., K) among `boxes` (..., B, 5) with `goals` (..., K, 2)
     [m].
@@ -116,7 +98,7 @@ def _people(state, others, ahead, radius):
     reach = radius[..., :, None] + radius[..., None, :]
     distance = geometry.norm(position)
     gap = xp.maximum(distance - reach - _COMFORT, xp.zeros_like(distance))
-    soon = time_to_collision(position, velocity, reach + _COMFORT)
+    soon = geometry.time_to_collision(position, velocity, reach + _COMFORT)
     # First those within one's comfort, the nearest first; then those to be met, the soonest first; then the nearest.
     order = xp.where(gap > 0, 1.0 + xp.minimum(soon, MOST_TIME + gap), distance / (1.0 + distance))
     unseen = xp.eye(number, dtype=bool) | (distance > PEOPLE_RANGE)
@@ -128,7 +110,7 @@ def _people(state, others, ahead, radius):
         return xp.take_along_axis(values, index, axis=chosen.ndim - 1)
 
     position, velocity, reach = of_chosen(position), of_chosen(velocity), of_chosen(reach)
-    time = time_to_collision(position, velocity, reach)
+    time = geometry.time_to_collision(position, velocity, reach)
     group = state.traits.group
     if group is None:
         companion = xp.zeros_like(time)

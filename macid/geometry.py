@@ -75,6 +75,26 @@ def pairs_within(position: Array, distance: Array | float) -> Array:
     return (squared <= distance**2) & ~xp.eye(position.shape[-2], dtype=bool)
 
 
+def time_to_collision(position: Array, velocity: Array, reach: Array | float, grazing: bool = False) -> Array:
+    """When two discs that keep their velocities touch [s] (...), the least t >= 0 with |position + velocity t| = reach:
+    infinity for never, 0 where they overlap.
+
+    position, velocity (..., 2): of the other's centre, less one's own [m, m/s]; reach (...): the radii's sum [m].
+    grazing: whether discs that graze each other touch; there the time has no gradient.
+    """
+    xp = _namespace(position)
+    a = velocity[..., 0] ** 2 + velocity[..., 1] ** 2
+    b = position[..., 0] * velocity[..., 0] + position[..., 1] * velocity[..., 1]
+    c = position[..., 0] ** 2 + position[..., 1] ** 2 - reach**2
+    discriminant = b**2 - a * c
+    met = (b < 0) & (discriminant >= 0 if grazing else discriminant > 0)
+    root = xp.sqrt(xp.where(met, discriminant, xp.ones_like(discriminant)))
+    # c / (root - b) is the lesser root of a t^2 + 2 b t + c, without the cancellation in -b - root.
+    time = c / xp.where(met, root - b, xp.ones_like(b))
+    time = xp.where(met, time, xp.full_like(time, math.inf))
+    return xp.where(c <= 0, xp.zeros_like(time), time)
+
+
 def in_box_frame(point: Array, boxes: Array) -> Array:
     """`point` (..., 2) in the frame of each of `boxes` (..., B, 5): (..., B, 2) [m]."""
     return to_body(point[..., None, :] - boxes[..., :2], boxes[..., 4])

@@ -1,12 +1,12 @@
 """The tables and cards of the pages, made from the shipped results and from the shipped policies' recipes.
 
-    tools/make_pages.py [--rows tables/rows] [--runs RESULTS ...]
+    tools/make_pages.py [--rows tables/rows] [--runs RESULTS ...] [--people human/human.json ...]
 
 Writes assets/results/*.md as far as the figures behind them are shipped, and fills the pages: between the lines
 `<!-- NAME -->` and `<!-- /NAME -->` of a page stands the table or card NAME. Figures come from assets/results/*.json
-(see its README.md), assets/policies/*.json and assets/agents/*.json. Nothing is played: it takes seconds. With --rows
-and --runs the figures in assets/results/*.json are first taken anew: from what tools/reproduce_tables.py kept, and from
-results that `bson evaluate` wrote.
+(see its README.md), assets/policies/*.json and assets/agents/*.json. Nothing is played: it takes seconds. With --rows,
+--runs and --people the figures in assets/results/*.json are first taken anew: from what tools/reproduce_tables.py kept,
+from results that `bson evaluate` wrote, and from what tools/reproduce_human.py measured.
 """
 
 import argparse
@@ -25,11 +25,13 @@ from bson.evaluation.results import read_results
 from bson.reporting.cards import made_by
 from macid import command
 from macid.command import Parser, check_words
+from macid.documents import read_document
 from macid.evaluate import level_name
-from macid.files import UsageError, run_command, write_bytes
+from macid.files import UsageError, write_bytes
 from macid.layout import LEVELS, OTHER_LEVELS
 from macid.learning.methods import METHODS
 from macid.policy import load_policy, policy_names
+from macid.running import run_command
 from macid.state import PHYSICS_STEP
 
 ROOT = pathlib.Path(__file__).parents[1]
@@ -471,12 +473,27 @@ def take_runs(sources):
     write_bytes(RESULTS / "robots.json", ("[\n" + ",\n".join(texts) + "\n]\n").encode())
 
 
+def take_people(files):
+    """Takes models' rows from human.json `files` that tools/reproduce_human.py wrote, in place of earlier ones of the
+    name; other rows stay. Rules stand first, then methods; of each the one with bodies as shipped first."""
+    rows, order = shipped("human"), [*tables.RULES, *METHODS]
+    for file in files:
+        rows |= read_document(file, dict[str, human_tables.Row], "models' rows")
+    for name in rows:
+        if name.partition(",")[0] not in order:
+            raise UsageError(f"'{name}' has no row in the pages. Rows are of {', '.join(order)}.")
+    rows = dict(sorted(rows.items(), key=lambda row: (order.index(row[0].partition(",")[0]), row[0])))
+    write_bytes(RESULTS / "human.json", (json_lines(rows, 2) + "\n").encode())
+
+
 def run(args):
     """Takes new figures, if asked to, and writes the tables and pages; returns the exit code."""
     if args.rows:
         take_rows(args.rows)
     if args.runs:
         take_runs(args.runs)
+    if args.people:
+        take_people(args.people)
     for name, lines in results().items():
         write_bytes(RESULTS / f"{name}.md", ("\n".join(lines) + "\n").encode())
     parts = pieces()
@@ -490,6 +507,7 @@ def main():
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", type=command.name, help="the folder `rows` that tools/reproduce_tables.py made")
     parser.add_argument("--runs", type=command.name, nargs="+", help="folders of bson evaluate, or their results.json")
+    parser.add_argument("--people", type=command.name, nargs="+", help="human.json files of tools/reproduce_human.py")
 
     def read_and_run():
         check_words(sys.argv[1:])

@@ -5,8 +5,9 @@
 Writes OUT/human.json (what each seed of a model has of each measure, as the model is shipped and with bodies of 0.2 m;
 `matched`: open scenes in which everybody walks at its real one's mean speed; `knob`: what its LCF does) and
 OUT/human.md (the main measures' means, a row a model). Each measurement is kept in OUT/rows, so a stopped run goes on
-where it was. Without --data, flows and knob alone. With --executor ray, models are measured side by side, on this
-machine's cores or on a cluster's; all else is as without.
+where it was. Models may be measured apart, with other numbers of seeds: `tools/make_pages.py --people OUT/human.json`
+puts each one's row into the table of the pages. Without --data, flows and knob alone. With --executor ray, models are
+measured side by side, on this machine's cores or on a cluster's; all else is as without.
 """
 
 import argparse
@@ -15,18 +16,20 @@ import hashlib
 import json
 import pathlib
 import sys
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
 from macid import command
 from macid.command import MOST_SEEDS, Parser, add_executor, check_words
 from macid.executors import Carried, call, carry_files, make_executor
-from macid.files import output_folder, run_command, write_bytes, write_json
+from macid.files import output_folder, write_bytes, write_json
 from macid.human import data, figures
 from macid.human.knob import WHERE
 from macid.human.measure import Options, measure, troupe
 from macid.pedestrians import check_model, is_learned, model_names
 from macid.policy import load_policy
+from macid.running import run_command
 from macid.state import RADIUS
 
 NARROW = 0.2  # the other radius [m]
@@ -52,17 +55,28 @@ COLUMNS = {
 LEFT_OUT = ("standing", "paper", "hz")  # nobody walks; other hyperparameters and periods
 
 
+class Row(TypedDict):
+    """What is known of a model. A measure has one figure for each seed, None where a seed has no value."""
+
+    radius: float  # of its bodies [m]
+    policies: list[str]
+    values: dict[str, list[float | None]]  # {measure: each seed's}
+    matched: NotRequired[dict[str, list[float | None]]]  # the same where everybody walks at its real one's mean speed
+    knob: NotRequired[dict[str, list[float | None]]]  # {"touch_rank open": each seed's, ...}
+
+
 def models():
     """The models of the tables."""
     return [name for name in model_names() if not any(part in name for part in LEFT_OUT)]
 
 
-def wanted(pedestrians, folder, seeds):
-    """{(table, pedestrian, radius): the arguments of macid.human.measure.measure}."""
+def wanted(pedestrians, folder, seeds, narrow=True):
+    """{(table, pedestrian, radius): the arguments of macid.human.measure.measure}. narrow: with bodies of NARROW,
+    too."""
     found = {}
     for name in pedestrians:
         many = most_seeds(name, seeds)
-        for radius in (None, NARROW) if own_radius(name) != NARROW else (None,):
+        for radius in (None, NARROW) if narrow and own_radius(name) != NARROW else (None,):
             options = Options(radius=radius, seeds=many)
             found["human", name, radius] = options
             if folder:
@@ -117,8 +131,7 @@ def measure_missing(executor, asked, rows, files, carried):
 
 
 def rows_of(documents):
-    """{what a table calls the model: {"radius", "policies", "values": {measure: [each seed's]}, "matched": the same
-    where everybody walks at its real one's mean speed, "knob": {"touch_rank open": [each seed's], ...}}}."""
+    """{what a table calls the model: its Row}."""
     rows = {}
     for (table, name, radius), document in documents.items():
         row = rows.setdefault(name if radius is None else f"{name}, {radius:g} m", {})
@@ -150,7 +163,7 @@ def column(row, title, seed=None):
 
 
 def lines(rows):
-    """The compact Markdown table of `rows`, {what the table calls them: as of `rows_of`}, below a row of people."""
+    """The compact Markdown table of `rows`, {what the table calls them: Row}, below a row of people."""
     shown = [f"| model | {' | '.join(COLUMNS)} |", "|---" * (1 + len(COLUMNS)) + "|"]
     for name, row in {"*people*": people_row(), **rows}.items():
         many = len(row.get("policies", ()))
@@ -166,7 +179,7 @@ def run(args):
     out = output_folder(args.out)
     files = [] if args.data is None else data.files(args.data)
     digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    asked = wanted(args.pedestrians or models(), args.data, args.seeds)
+    asked = wanted(args.pedestrians or models(), args.data, args.seeds, not args.own_radius)
     with make_executor(args.executor, args.ray_address, args.workers) as executor:
         rows = output_folder(out / "rows")
         documents = measure_missing(executor, asked, rows, digests, Carried() + carry_files(files))
@@ -183,6 +196,7 @@ def main():
     parser.add_argument("--data", type=command.name, default=None, help="people's files (default: flows alone)")
     parser.add_argument("--pedestrians", type=command.name, nargs="+", help="models (default: all that are shipped)")
     parser.number("--seeds", int, 1, MOST_SEEDS, default=SEEDS, help=f"of each model, at most (default {SEEDS})")
+    parser.add_argument("--own-radius", action="store_true", help=f"not with bodies of {NARROW:g} m, too")
     parser.add_argument("--out", type=command.name, default="human")
     add_executor(parser)
 

@@ -3,11 +3,11 @@
     tools/reproduce_table3.py --out table3
 
 Writes OUT/table3.md (the four algorithms on the `paper` suite), carry-over-SNS.md and -Coll.md (robots trained among
-one kind of pedestrian, tested among each and among one that none has met) and lcf.md (the score by the LCF of
-everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where it was.
-Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the seeds of a
-training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a cluster's; all
-else is as without.
+one kind of pedestrian, tested among each, among one that none has met, and on `street`) and lcf.md (the score by the
+LCF of everybody). Robots are trained to OUT/runs; each evaluation is kept in OUT/rows; so a stopped run goes on where
+it was. Figures are means over seeds and episodes; intervals are bootstrapped over episodes, each one's mean over the
+seeds of a training. With --executor ray, trainings and evaluations go side by side, on this machine's cores or on a
+cluster's; all else is as without.
 
 With --size paper the networks of SAC, TAC and BC have the paper's (1024, 1024), with one update a control step: hours
 for each on a GPU (--device cuda), weeks on a few cores.
@@ -37,7 +37,8 @@ from macid import command
 from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
 from macid.evaluate import lcf_bins
 from macid.executors import make_executor
-from macid.files import UsageError, output_folder, run_command, write_bytes, write_json
+from macid.files import UsageError, output_folder, write_bytes, write_json
+from macid.running import run_command
 
 PARTS = ("SNS", "RC", "Coll", "SP", "PE")
 PAPER = {
@@ -55,18 +56,31 @@ SIZES = {
     | {"bc": _PAPER["bc"]},
 }
 _RUNS = {"ours": "runs", "paper": "runs-paper-size"}
-CROWDS = ("social-force-progress", "orca", "ipo", "macid")  # of the carry-over table
+CROWDS = ("social-force-progress", "orca", "ipo", "macid", "macid-human")  # of the carry-over table
 UNMET = "macid-touch"  # tested among, not trained among
+STREET = "street"  # the suite tested on, not trained on
+_PEOPLE = ("person_radius", "preferred_speed", "person_max_speed", "companions")  # what people are like
+_LIKE_STREET = ("macid-human",)  # whose people are so as on STREET, since they learned as such
 TABLES = ("table3", "lcf", "carry-over")
 SCRIPTED = ("goal", "vfh", "dwa")
 DEMONSTRATED = 0.2  # of the others' steps: BC's, some 1,200 episodes
+
+
+def crowd_of(name):
+    """The fields of the task that make the crowd `name`: the pedestrians' model, and what its people are like where
+    they are not the paper's."""
+    fields = {"pedestrian_model": name}
+    if name in _LIKE_STREET:
+        street = load_suite(STREET).cells[0].config
+        fields |= {field: getattr(street, field) for field in _PEOPLE}
+    return fields
 
 
 def wanted(algo, crowd, seed, steps, runs, size="ours"):
     """The TrainConfig of a robot; that of BC learns from the PPO robot of the same crowd and seed. algo: with "-paper"
     behind it for that preset. size: of SIZES."""
     algo, _, preset = algo.partition("-")
-    task = {} if crowd == "macid" else {"pedestrian_model": crowd}
+    task = {} if crowd == "macid" else crowd_of(crowd)
     chosen = PRESETS[preset or "fast"][algo] if preset or algo not in SIZES[size] else SIZES[size][algo]
     if algo != "bc":
         return TrainConfig(algo, seed, steps, task, hyperparameters=chosen)
@@ -91,9 +105,9 @@ def train_missing(executor, configs, runs):
         train_apart(executor, missing, runs, resume=True)
 
 
-def row_of(rows, agent, suite, seeds, changes):
-    """The file in the folder `rows` of an evaluation, the Play that makes it, and the agent's factory."""
-    (cell,) = suite.cells
+def row_of(rows, agent, suite, cell, seeds, changes):
+    """The file in the folder `rows` of an evaluation of a suite's cell, the Play that makes it, and the agent's
+    factory."""
     config = cell.config.replace(**changes)
     make_agent = load_agent(agent)
     track = make_agent.track, make_agent.sensor
@@ -111,14 +125,16 @@ def write_row(path, agent, changes, episodes):
     return measured
 
 
-def play_missing(executor, rows, suite, seeds, wanted):
-    """Plays what of the evaluations `wanted`, [(agent, changes), ...], is not in the folder `rows`, side by side on an
-    executor of several workers. In this process each is played when it is asked for instead."""
+def play_missing(executor, rows, episodes, wanted):
+    """Plays what of the evaluations `wanted`, [(agent, suite, changes), ...], is not in the folder `rows`, side by side
+    on an executor of several workers. In this process each is played when it is asked for instead. episodes: {suite's
+    name: seeds of each cell's episodes}."""
     missing = {}
-    for agent, changes in wanted:
-        path, play, _ = row_of(rows, agent, suite, seeds, changes)
-        if not path.exists():
-            missing[path] = play, changes
+    for agent, suite, changes in wanted:
+        for cell in suite.cells:
+            path, play, _ = row_of(rows, agent, suite, cell, episodes[suite.name], changes)
+            if not path.exists():
+                missing[path] = play, changes
     plays = {id(play): (path, changes) for path, (play, changes) in missing.items()}
 
     def whole(play, episodes):
@@ -130,14 +146,18 @@ def play_missing(executor, rows, suite, seeds, wanted):
 
 
 def scored(rows, agent, suite, seeds, **changes):
-    """Metrics of the suite's episodes `seeds` with the task's fields `changes`; from the folder `rows` if they are
-    there."""
-    path, play, make_agent = row_of(rows, agent, suite, seeds, changes)
-    if path.exists():
-        return json.loads(path.read_text())["episodes"]
-    print(f"{agent} {changes or ''}", file=sys.stderr, flush=True)
-    episodes = run_episodes(make_agent, play.config, make_track(*play.track), seeds, agent)
-    return write_row(path, agent, changes, episodes)
+    """Metrics of the suite's episodes, cell by cell the `seeds`, with the task's fields `changes`; from the folder
+    `rows` if they are there."""
+    measured = []
+    for cell in suite.cells:
+        path, play, make_agent = row_of(rows, agent, suite, cell, seeds, changes)
+        if path.exists():
+            measured += json.loads(path.read_text())["episodes"]
+            continue
+        print(f"{agent} {changes or ''} {cell.name}", file=sys.stderr, flush=True)
+        episodes = run_episodes(make_agent, play.config, make_track(*play.track), seeds, agent)
+        measured += write_row(path, agent, changes, episodes)
+    return measured
 
 
 def averaged(runs):
@@ -218,14 +238,20 @@ def _by_lcf(agents, score):
     return table
 
 
+def columns():
+    """{column of the carry-over table: (suite's name, the task's fields that differ)}."""
+    return {crowd: ("paper", crowd_of(crowd)) for crowd in (*CROWDS, UNMET)} | {STREET: (STREET, {})}
+
+
 def _carried(robots, score, metric):
     """Lines of a metric's carry-over table. robots: {the crowd that robots were trained among, or an agent's name:
-    files}."""
-    among = (*CROWDS, UNMET)
-    table = [f"| {metric}: trained among | " + " | ".join(among) + " | mean |", "|---" * (2 + len(among)) + "|"]
+    files}. score: called with a file and a column. The mean is over the columns whose episodes are the same."""
+    *among, street = columns()
+    table = [f"| {metric}: trained among | {' | '.join([*among, 'mean', street])} |", "|---" * (3 + len(among)) + "|"]
     for home, files in robots.items():
-        tested = [[score(file, pedestrian_model=crowd) for file in files] for crowd in among]
+        tested = [[score(file, crowd) for file in files] for crowd in among]
         tested.append([averaged(crowds) for crowds in zip(*tested, strict=True)])
+        tested.append([score(file, street) for file in files])
         row = [cells(averaged(by_seed), (metric,)) for by_seed in tested]
         table.append(f"| {home} | " + " | ".join(row) + " |")
         if len(files) > 1:
@@ -245,8 +271,11 @@ def run(args):
 
 def _make(args, executor):
     """Makes the tables on an executor."""
-    suite, steps = load_suite("paper"), int(args.steps)
-    episodes = suite.drawn(args.episodes, 0)
+    suites, steps = {name: load_suite(name) for name in ("paper", STREET)}, int(args.steps)
+    suite = suites["paper"]
+    episodes = {"paper": suite.drawn(args.episodes)}
+    share = None if args.episodes is None else max(1, args.episodes // len(suites[STREET].cells))
+    episodes[STREET] = suites[STREET].drawn(share)
     out = output_folder(args.out)
     rows, runs = (
         output_folder(out / "rows"),
@@ -262,7 +291,11 @@ def _make(args, executor):
         return [str(robot(config, runs)) for config in configs(algo, crowd)]
 
     def score(agent, **changes):
-        return scored(rows, agent, suite, episodes, **changes)
+        return scored(rows, agent, suite, episodes["paper"], **changes)
+
+    def score_in(agent, column):
+        name, changes = columns()[column]
+        return scored(rows, agent, suites[name], episodes[name], **changes)
 
     def note(algo, files, by_seed):
         if args.ship:
@@ -282,20 +315,20 @@ def _make(args, executor):
         agents = {algo: robots(algo) for algo in args.algos} | {name: [name] for name in SCRIPTED}
         settings = [{}] if "table3" in args.tables else []
         settings += [{"lcf": lcf} for lcf in lcf_bins("macid") if "lcf" in args.tables]
-        asked += [(file, changes) for files in agents.values() for file in files for changes in settings]
+        asked += [(file, suite, changes) for files in agents.values() for file in files for changes in settings]
     if "carry-over" in args.tables:
         carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS} | {name: [name] for name in SCRIPTED}
-        settings = [{"pedestrian_model": crowd} for crowd in (*CROWDS, UNMET)]
-        asked += [(file, changes) for files in carried.values() for file in files for changes in settings]
+        settings = [(suites[name], changes) for name, changes in columns().values()]
+        asked += [(file, *setting) for files in carried.values() for file in files for setting in settings]
     if executor.workers is not None:
-        play_missing(executor, rows, suite, episodes, asked)
+        play_missing(executor, rows, episodes, asked)
     if "table3" in args.tables:
         write("table3.md", _table3(agents, score, note))
     if "lcf" in args.tables:
         write("lcf.md", _by_lcf(agents, score))
     if "carry-over" in args.tables:
         for metric in ("SNS", "Coll"):
-            write(f"carry-over-{metric}.md", _carried(carried, score, metric))
+            write(f"carry-over-{metric}.md", _carried(carried, score_in, metric))
     return 0
 
 
@@ -308,7 +341,7 @@ def main():
     )
     parser.number("--seeds", int, 1, MOST_SEEDS, default=3, help="of each training (default 3)")
     parser.number("--steps", float, 1.0, MOST_STEPS, default=1e6, help="of each training (default 1e6)")
-    parser.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")
+    parser.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suites' first N episodes")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES, help="only these")
     parser.add_argument(
         "--ship", type=command.name, metavar="FOLDER", help="copy each algorithm's best robot there, with its scores"

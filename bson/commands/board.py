@@ -6,35 +6,10 @@ import pathlib
 import sys
 from typing import Any
 
-from macid.command import MOST_SEED, Parser, name
-from macid.documents import read_bytes, shown, shown_path
+from bson.commands.flags import add_passphrase, read_passphrase
+from macid.command import MOST_SEED, name
+from macid.documents import shown
 from macid.files import UsageError, check_file
-
-_MOST_PASSPHRASE = 1 << 12  # bytes of its file
-
-
-def add_passphrase(command: Parser) -> None:
-    """Adds the flag of the passphrase of the suite `held-out`."""
-    command.add_argument(
-        "--passphrase-file",
-        type=name,
-        default=None,
-        metavar="FILE",
-        help="of the suite held-out: a file with the passphrase on one line (or the variable BSON_PASSPHRASE)",
-    )
-
-
-def read_passphrase(args: Any, suite: str | None = None) -> str | None:
-    """The passphrase of the suite `suite` (default: that of the flag --suite): from the file of the flag, or, of
-    `held-out`, from the environment; None without either. Raises UsageError."""
-    from bson.evaluation.suites import HELD_OUT, PASSPHRASE_VARIABLE
-
-    if (path := args.passphrase_file) is None:
-        return os.environ.get(PASSPHRASE_VARIABLE) if (suite or args.suite) == HELD_OUT else None
-    try:
-        return read_bytes(path, "passphrase", _MOST_PASSPHRASE).decode().rstrip("\r\n")
-    except UnicodeDecodeError:
-        raise UsageError(f"The passphrase file {shown_path(path)} is no text in UTF-8.") from None
 
 
 def _compare(args):

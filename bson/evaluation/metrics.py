@@ -15,6 +15,7 @@ import numpy as np
 
 from bson.episodes.effects import SOCIAL_SPACE
 from bson.episodes.record import Episode
+from macid import geometry
 from macid.documents import shown
 from macid.files import UsageError
 from macid.registry import Kind
@@ -77,12 +78,8 @@ def time_to_collision(episode: Episode) -> np.ndarray:
     yaw, ahead = episode.pose[:, 2], episode.velocity[:, :1]
     dp = episode.people[..., :2] - episode.pose[:, None, :2]
     dv = episode.people_velocity - (ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1))[:, None]
-    apart = (dp**2).sum(axis=-1) - (episode.robot_radius + episode.person_radius) ** 2
-    closing, squared = -(dp * dv).sum(axis=-1), (dv**2).sum(axis=-1)
-    root = closing**2 - squared * apart
-    meets = (closing > 0) & (root >= 0)
-    time = np.where(meets, apart / np.where(meets, closing + np.sqrt(np.maximum(root, 0.0)), 1.0), np.inf)
-    return np.where(apart <= 0, 0.0, time).min(axis=-1, initial=np.inf)
+    reach = episode.robot_radius + episode.person_radius
+    return geometry.time_to_collision(dp, dv, reach, grazing=True).min(axis=-1, initial=np.inf)
 
 
 def spl(episode: Episode) -> float:

@@ -12,7 +12,8 @@ from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.episodes.record import Episode, Recorder
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack
-from bson.evaluation.metrics import METRICS, Metric, measure, metrics_of, summarise
+from bson.evaluation.metrics import METRICS, Metric, measure, metrics_of
+from bson.evaluation.statistics import summarise_runs
 from bson.simulation.world import World
 from bson.task import TaskConfig
 from macid import files
@@ -179,14 +180,16 @@ def results(
         raise ValueError(f"There is nothing to score: physics failed in all episodes. {_in_words(faults[0])}")
     metrics = (*METRICS, *own)
     measured = [[measure(episode, metrics) for episode in episodes] for episodes in scored]
-    summaries = [_summary(rows) for rows in measured]
+    seeds = [[episode.seed for episode in episodes] for episodes in scored]
+    summaries = [_summary(*each) for each in zip(measured, seeds, strict=True)]
+    together = itertools.chain(*measured), itertools.chain(*seeds)
     return {
         "agent": agent,
         "suite": suite,
         "config": dataclasses.asdict(cells[0].config),
         "people": cells[0].config.people,
         "versions": versions(),
-        **(summaries[0] if len(cells) == 1 else _summary(list(itertools.chain(*measured)))),
+        **(summaries[0] if len(cells) == 1 else _summary(*map(list, together))),
         "metrics": {
             metric.name: {"unit": metric.unit, "better": metric.better or "neither", "what": metric.what}
             for metric in metrics
@@ -246,9 +249,10 @@ def _in_words(fault):
     return f"Seed {fault['seed']} of cell '{fault['cell']}', after {fault['time']:.1f} s: {fault['what']}."
 
 
-def _summary(measured):
-    """summary, intervals and counts of results.json, over `measured`, dicts of `measure`."""
-    rows = summarise(measured)
+def _summary(measured, seeds):
+    """summary, intervals and counts of results.json, over `measured`, dicts of `measure` of episodes with these
+    `seeds`; episodes of one seed come together (bson.evaluation.statistics)."""
+    rows = summarise_runs([measured], np.array(seeds)) if measured else {}
     return {
         "summary": {name: row["mean"] for name, row in rows.items()},
         "intervals": {name: [row["low"], row["high"]] for name, row in rows.items()},

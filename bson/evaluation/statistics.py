@@ -13,9 +13,9 @@ Episodes are drawn by their seed: where cells of a suite play the same seeds, as
 seed have draws in common, such as the maze and where the robot begins, and they come together. `seeds` says which they
 are; without, each episode is its own.
 
-With one run of each agent, in one cell, the interval is that of bson.evaluation.metrics.summarise, which takes every
-episode of several cells for itself. Few training seeds make an interval too narrow, as a bootstrap knows no more of
-their spread than they show: among three seeds it is sqrt(2/3) of the true one. LEAST_SEEDS is where a reader is told.
+With one run of each agent, and no seed twice among its episodes, the interval is that of
+bson.evaluation.metrics.summarise. Few training seeds make an interval too narrow, as a bootstrap knows no more of their
+spread than they show: among three seeds it is sqrt(2/3) of the true one. LEAST_SEEDS is where a reader is told.
 """
 
 import itertools
@@ -228,10 +228,15 @@ def summarise_runs(
     runs: Sequence[Sequence[dict[str, float]]], seeds: np.ndarray | None = None
 ) -> dict[str, dict[str, Any]]:
     """As bson.evaluation.metrics.summarise, of several runs of the same episodes: means over runs and episodes, with
-    intervals over both. One run: the same as summarise."""
-    if len(runs) == 1:
+    intervals over both. seeds: those of the episodes. One run, no seed twice: the same as summarise."""
+    if len(runs) == 1 and _each_its_own(seeds):
         return summarise(list(runs[0]))
     return _summary({name: table(runs, name) for name in runs[0][0]}, seeds)
+
+
+def _each_its_own(seeds):
+    """Whether no two episodes share a seed; None: each has its own."""
+    return seeds is None or len(np.unique(seeds)) == len(seeds)
 
 
 def _summary(tables, seeds):
@@ -239,8 +244,8 @@ def _summary(tables, seeds):
     found = {}
     for name, values in tables.items():
         if count := int(np.isfinite(values).sum()):
-            row = mean(values, seeds)
-            found[name] = {"mean": row.value, "low": row.low, "high": row.high, "count": count}
+            row, value = mean(values, seeds), float(values[np.isfinite(values)].mean())
+            found[name] = {"mean": value, "low": row.low, "high": row.high, "count": count}
     return found
 
 
@@ -252,7 +257,7 @@ def difference_of_runs(
     """Mean differences ours - theirs of the same episodes, between every run of ours and every one of theirs, with
     intervals over both agents' training seeds and over episodes; as summarise_runs. One run each: paired differences.
     count is the number of pairs of episodes in which both are finite."""
-    if len(ours) == len(theirs) == 1:
+    if len(ours) == len(theirs) == 1 and _each_its_own(seeds):
         pairs = zip(ours[0], theirs[0], strict=True)
         return summarise([{name: one[name] - other[name] for name in one} for one, other in pairs])
     names = ours[0][0]

@@ -330,7 +330,8 @@ def _other_settings(theirs, ours):
 
 def _other_means(content):
     """A line for each summary, of all episodes or of a cell, that does not follow from the episodes."""
-    from bson.evaluation.metrics import metrics_of, summarise
+    from bson.evaluation.metrics import metrics_of
+    from bson.evaluation.statistics import summarise_runs
 
     names = [metric.name for metric in metrics_of(content)]
     parts = [("all episodes", content, content["episodes"])]
@@ -344,13 +345,16 @@ def _other_means(content):
         measured = [
             {name: math.inf if row[name] is None else row[name] for name in names if name in row} for row in rows
         ]
-        found = summarise(measured)
+        found = summarise_runs([measured], np.array([row["seed"] for row in rows])) if rows else {}
         for name in sorted({*told["summary"], *found}):
             row, nothing = found.get(name, {}), [None, None]
             was = [told["summary"].get(name), *told.get("intervals", {}).get(name, nothing)]
             now = [row.get(key) for key in ("mean", "low", "high")]
             if None in was + now or not np.allclose(np.array(was), np.array(now), _TOLERANCE, _TOLERANCE):
-                lines.append(f"{name} of {where}: the mean was {was[0]}, its episodes have {now[0]}")
+                told_and_found = [f"{each[0]} in [{each[1]}, {each[2]}]" for each in (was, now)]
+                lines.append(
+                    f"{name} of {where}: the mean was {told_and_found[0]}, its episodes have {told_and_found[1]}"
+                )
     return lines
 
 

@@ -79,15 +79,22 @@ def _own(found, name):
 KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
 
 
-def hyperparameters(algo: str, preset: str = "fast") -> Any:
-    """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset.
+INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
+PUPILS = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]  # those with a recurrent network
+
+
+def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans", start: str | None = None) -> Any:
+    """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset,
+    and bc and ppo in the preset "fast" have RECURRENT for the `inputs` PUPILS, ppo from a policy `start` has STARTED.
     Raises UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
-    return PRESETS[preset].get(algo) or KIND.load(algo)
+    usual = KIND.load(algo)
+    if algo in RECURRENT and preset == "fast" and inputs in PUPILS:
+        return STARTED if algo == "ppo" and start is not None else RECURRENT[algo]
+    return PRESETS[preset].get(algo, usual)
 
 
-INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _REMEMBERING = DaggerConfig | RecurrentPpoConfig
 _RECENT = 100  # number of ended episodes in the curve's means
@@ -110,7 +117,7 @@ class TrainConfig:
     start: str | None = None  # of ppo with a recurrent robot: the policy from which it goes on
 
     def __post_init__(self):
-        found = KIND.load(self.algo)
+        usual = hyperparameters(self.algo, inputs=self.inputs, start=self.start)
         for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
@@ -124,21 +131,17 @@ class TrainConfig:
             if self.inputs == "scans":
                 others = ", ".join(name for name in INPUTS if name != "scans")
                 raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
-        kinds = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]
-        others = [name for name in INPUTS if name not in kinds]
-        fits = {"bc": ["scans", *kinds], "ppo": list(INPUTS)}.get(self.algo, others)
+        others = [name for name in INPUTS if name not in PUPILS]
+        fits = {"bc": ["scans", *PUPILS], "ppo": list(INPUTS)}.get(self.algo, others)
         if self.inputs not in fits:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
-        remembers = self.inputs in kinds
+        remembers = self.inputs in PUPILS
         if self.start is not None and not (remembers and self.algo == "ppo"):
-            raise UsageError(
-                f"--start is for ppo with --inputs of {', '.join(kinds)}, not {self.algo} on {self.inputs}."
-            )
-        if remembers:
-            found = STARTED if self.start is not None else RECURRENT[self.algo]
+            told = ", ".join(PUPILS)
+            raise UsageError(f"--start is for ppo with --inputs of {told}, not {self.algo} on {self.inputs}.")
         if self.hyperparameters is None:
-            object.__setattr__(self, "hyperparameters", found)
-        fit = type(found) if remembers else object
+            object.__setattr__(self, "hyperparameters", usual)
+        fit = type(usual) if remembers else object
         if not isinstance(self.hyperparameters, fit) or isinstance(self.hyperparameters, _REMEMBERING) != remembers:
             raise UsageError(f"--inputs {self.inputs} learns with no {type(self.hyperparameters).__name__}.")
 

@@ -127,11 +127,17 @@ def differences(measured: list[dict[str, float]], reference: list[dict[str, floa
 
 
 def _differences(measured, reference, seeds=None):
-    """As `differences`, of the rows of several runs each; seeds: those of the episodes."""
+    """As `differences`, of the rows of several runs each; seeds: those of the episodes. Pairs of one seed are one."""
     found = difference_of_runs(measured, reference, seeds)
+    enough = seeds is None or _told_apart(seeds)
     for row in found.values():
-        row["differs"] = row["count"] >= LEAST_PAIRS and (row["low"] > 0 or row["high"] < 0)
+        row["differs"] = enough and row["count"] >= LEAST_PAIRS and (row["low"] > 0 or row["high"] < 0)
     return found
+
+
+def _told_apart(seeds):
+    """Whether the episodes with these `seeds` are of so many that a difference may be told."""
+    return len(np.unique(seeds)) >= LEAST_PAIRS
 
 
 def _seeds(keys):
@@ -172,7 +178,7 @@ def _judged(groups, keys, metrics):
             row[name] = {
                 "paired": found.paired._asdict() | {"ties": found.paired_ties},
                 "unpaired": found.unpaired._asdict() | {"ties": found.unpaired_ties},
-                "differs": len(keys) >= LEAST_PAIRS and not found.paired.low <= 0.5 <= found.paired.high,
+                "differs": _told_apart(seeds) and not found.paired.low <= 0.5 <= found.paired.high,
             }
         pairs.append(row)
     return means, pairs
@@ -200,9 +206,7 @@ def _notes(groups, keys):
     if (seeds := len(set(_seeds(keys)))) < len(keys):
         notes.append(
             f"The {plural(len(keys), 'episode')} have {plural(seeds, 'seed')}; those of one seed share draws, such as "
-            "the maze and the start. Interquartile means, probabilities of doing better and columns of several "
-            "trainings are drawn by seeds. Other intervals take each episode for itself: they are too narrow where "
-            "seeds matter."
+            "the maze and the start. So intervals draw seeds, each with all of its episodes."
         )
     return notes
 

@@ -66,6 +66,8 @@ def _caption(run):
     content, episodes = run.content, len(played(run))
     digest = f", digest {_code(content['suite_digest'])}" if content.get("suite_digest") else ""
     cells = f" in {len(content['cells'])} cells" if len(content["cells"]) > 1 else ""
+    seeds = len({seed for _, seed in played(run)})
+    drawn = f", its {seeds} seeds drawn with all their episodes" if seeds < episodes else ""
     other = "" if content.get("frozen_seeds", True) else ", not the suite's own seeds"
     words = ["bson", "evaluate", "--agent", "AGENT", "--suite", content["suite"]]
     words += ["--episodes", str(episodes // len(content["cells"]))]
@@ -73,7 +75,7 @@ def _caption(run):
         words += ["--set", f"{key}={value}"]
     return (
         f"Suite {_code(content['suite'])}{digest}: {plural(episodes, 'episode')}{cells}{other}; means, with bootstrap "
-        f"95% intervals for the SNS.\nEach row: {_code(shlex.join(words))}; the table: `bson leaderboard`."
+        f"95% intervals for the SNS{drawn}.\nEach row: {_code(shlex.join(words))}; the table: `bson leaderboard`."
     )
 
 

@@ -18,7 +18,7 @@ Network: TypeAlias = Callable[[Any, Any], Array]
 @dataclasses.dataclass(frozen=True)
 class PpoConfig:
     """Hyperparameters. What the paper gives (sec. IV-C), without annealing, scaling, clipping or standardising anything
-    but the policy's ratio, is the preset `paper` of macid.learning.train; the defaults differ where that learns
+    but the policy's ratio, is the preset `paper` of macid.learning.config; the defaults differ where that learns
     better."""
 
     learning_rate: float = 1e-3

@@ -102,6 +102,25 @@ def test_a_difference_is_marked_where_its_interval_excludes_0_and_there_are_enou
     assert not marked([5.0, -5.0] * LEAST_PAIRS) and not marked([0.0] * 20)
 
 
+def test_cells_that_share_seeds_are_no_more_pairs_than_their_seeds():
+    """The same lead in each of three cells: the same interval as in one, as evaluate prints it; of five seeds no mark."""
+    rng = np.random.default_rng(9)
+    base, lead = 50.0 + 10.0 * rng.normal(size=12), 4.0 + 5.0 * rng.normal(size=12)
+
+    def found(cells, seeds):
+        keys = [(cell, seed) for cell in cells for seed in range(seeds)]
+        scores = [{key: {"SNS": each[key[1]]} for key in keys} for each in (base, base + lead)]
+        return compare([_run(agent, rows) for agent, rows in zip("ab", scores, strict=True)])["runs"][1]
+
+    one, three = found(["few"], 12), found(["few", "some", "many"], 12)
+    for part in ("summary", "difference"):
+        low, high = one[part]["SNS"]["low"], one[part]["SNS"]["high"]
+        assert (three[part]["SNS"]["low"], three[part]["SNS"]["high"]) == pytest.approx((low, high))
+    lead[:] = 4.0
+    assert found(["few", "some"], 6)["difference"]["SNS"]["differs"]
+    assert not found(["few", "some"], 5)["difference"]["SNS"]["differs"]
+
+
 def test_values_that_are_infinite_in_either_run_do_not_enter():
     ours = _run("ours", {("all", seed): {"SNS": 1.0, "time": time} for seed, time in enumerate((5.0, None, None, 7.0))})
     theirs = _run("theirs", {("all", seed): {"SNS": 1.0, "time": t} for seed, t in enumerate((6.0, 3.0, None, None))})

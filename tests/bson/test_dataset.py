@@ -114,6 +114,10 @@ def test_bc_learns_the_same_from_a_dataset_as_from_our_own_demonstrations(tmp_pa
         policies.append(load_agent(str(train(whole, tmp_path / name) / "policy.npz"))())
     x = np.concatenate([x for _, x, _ in own])
     assert np.array_equal(policies[0].act(x), policies[1].act(x)) and policies[0].act(x).std() > 0
+    recurrent = {"inputs": "gru", "overrides": SETS}
+    for more in ({}, {"teacher": "goal"}):  # it has a teacher, and no demonstrations
+        with pytest.raises(UsageError, match="--inputs gru learns with no BcConfig"):
+            benchmark.train("bc", tmp_path / "runs", demonstrations=str(folder), **recurrent, **more)
 
 
 def refused(capsys, *words):

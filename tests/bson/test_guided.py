@@ -479,3 +479,16 @@ def test_what_does_not_fit_is_refused(arguments, told):
 
     with pytest.raises((UsageError, ValueError), match=told):
         TrainConfig(**arguments)
+
+
+@pytest.mark.parametrize("inputs", ["gru", "gru-map", "camera"])
+def test_bc_has_a_configuration_of_its_own_for_robots_with_a_memory(inputs, tmp_path):
+    from bson import benchmark
+    from bson.learning.dagger import DaggerConfig
+    from bson.learning.train import TrainConfig, hyperparameters
+
+    assert hyperparameters("bc", inputs=inputs) == DaggerConfig() == TrainConfig("bc", inputs=inputs).hyperparameters
+    for more in ({}, {"teacher": "goal"}):  # the paper has no such robot
+        with pytest.raises(UsageError, match=f"--inputs {inputs} learns with no BcConfig"):
+            benchmark.train("bc", tmp_path / "runs", inputs=inputs, preset="paper", **more)
+    assert not (tmp_path / "runs").exists()

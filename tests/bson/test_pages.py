@@ -18,7 +18,7 @@ from bson.evaluation.suites import load_suite
 from macid import assets
 from macid import cli as macid_cli
 from macid.layout import LEVELS, OTHER_LEVELS
-from macid.learning.train import preset
+from macid.learning.config import preset
 from macid.policy import load_policy, policy_names
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -215,6 +215,26 @@ def test_figures_are_taken_from_rows_and_results_as_they_are_shipped(tmp_path, m
     before["macid-0"].pop("1")
     assert after == before
     assert (folder / "rules.json").read_bytes() == (assets.root() / "results" / "rules.json").read_bytes()
+
+
+def test_rows_of_models_beside_people_are_joined_whatever_their_number_of_seeds(tmp_path, monkeypatch):
+    """--people replaces the rows of the models that were measured; others stay, to the byte."""
+    folder, before = tmp_path / "results", pages.shipped("human")
+    folder.mkdir()
+    (folder / "human.json").write_bytes((pages.RESULTS / "human.json").read_bytes())
+    monkeypatch.setattr(pages, "RESULTS", folder)
+    row = {"radius": 0.2, "policies": ["ipo-0", "ipo-1"], "values": {"speed": [1.0, 1.2], "E1": [None, 0.5]}}
+    (tmp_path / "measured.json").write_text(json.dumps({"ipo, 0.2 m": row, "social-force": row}))
+    pages.take_people([tmp_path / "measured.json"])
+    after = pages.shipped("human")
+    assert after == before | {"ipo, 0.2 m": row, "social-force": row}
+    assert next(iter(after)) == "social-force" and [name for name in after if name in before] == list(before)
+    assert [line for line in pages.human() if line.startswith("| ipo, 0.2 m (2 seeds) | 1.10, - | -, 0.50, - |")]
+    for wrong in ({"nobody": row}, {"ipo": {"radius": 0.35}}, {"ipo": 3}):
+        (tmp_path / "measured.json").write_text(json.dumps(wrong))
+        with pytest.raises(pages.UsageError, match="nobody|measured.json"):
+            pages.take_people([tmp_path / "measured.json"])
+    assert pages.shipped("human") == after
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("pdoc"), reason="needs the extra docs")

@@ -113,6 +113,30 @@ def test_episodes_of_one_seed_come_together():
     assert summarise_runs(rows, seeds)["SNS"]["high"] > summarise_runs(rows)["SNS"]["high"]
 
 
+def test_the_interval_of_one_run_over_cells_is_that_of_its_seeds():
+    """A score that depends on the seed alone is known as well from one cell as from 27, and a difference is, too."""
+    rng = np.random.default_rng(12)
+    ours, theirs = rng.normal(size=(2, 10))
+    one, other = ([{"SNS": value} for value in each] for each in (ours, theirs))
+    seeds = np.tile(np.arange(10), 27)
+    assert summarise_runs([one * 27], seeds)["SNS"] == pytest.approx(summarise(one)["SNS"] | {"count": 270})
+    found, alone = difference_of_runs([one * 27], [other * 27], seeds), difference_of_runs([one], [other])
+    assert found["SNS"] == pytest.approx(alone["SNS"] | {"count": 270})
+    # where no seed stands twice, each episode is drawn for itself
+    assert summarise_runs([one], np.arange(10)) == summarise(one) == summarise_runs([one])
+
+
+def test_intervals_over_cells_that_share_seeds_cover_what_they_promise():
+    """On made data of 27 cells and 10 seeds, as `standard` has; episodes for themselves would cover far less."""
+    rng, hits, seeds = np.random.default_rng(1), [], np.tile(np.arange(10), 27)
+    for _ in range(80):
+        rows = [{"SNS": value} for value in nested(rng, 27, 10, 0.0, 1.0).ravel()]
+        found = [summary["SNS"] for summary in (summarise_runs([rows], seeds), summarise_runs([rows]))]
+        hits.append([row["low"] <= 0.0 <= row["high"] for row in found])
+    drawn_by_seed, each_for_itself = np.mean(hits, axis=0)
+    assert 0.85 <= drawn_by_seed <= 0.99 and each_for_itself < 0.5
+
+
 def test_runs_that_differ_make_the_interval_wide():
     """Over episodes alone, it is narrow; the trainings may be all that differs."""
     runs = np.array([[-2.0], [0.0], [3.0], [-1.0]]) + 0.01 * np.random.default_rng(0).normal(size=(4, 50))

@@ -119,18 +119,53 @@ def test_an_episode_of_failed_physics_is_left_out_for_all_seeds():
     assert table3.cells(together, ("SNS",)) == "70.0 [70.0, 70.0]"
 
 
-def test_the_carry_over_table_has_each_crowd_and_their_mean():
-    among = (*table3.CROWDS, table3.UNMET)
-    met = {(crowd, seed): 10.0 * index + seed for index, crowd in enumerate(among) for seed in (0, 2)}
+def test_the_carry_over_table_has_each_crowd_their_mean_and_the_street():
+    met = {(crowd, seed): 10.0 * index + seed for index, crowd in enumerate(table3.columns()) for seed in (0, 2)}
 
-    def score(file, pedestrian_model):
-        return [episode(met[pedestrian_model, file]), None]
+    def score(file, column):
+        return [episode(met[column, file]), None] * (2 if column == "street" else 1)
 
     lines = table3._carried({"orca": [0, 2], "goal": [0]}, score, "SNS")
-    assert lines[0].split(" | ")[1:] == ["social-force-progress", "orca", "ipo", "macid", "macid-touch", "mean |"]
-    assert [cell.split()[0] for cell in lines[2].split(" | ")[1:]] == ["1.0", "11.0", "21.0", "31.0", "41.0", "21.0"]
-    assert lines[3].split(" | ")[1] == "0.0, 2.0" and lines[3].split(" | ")[-1] == "20.0, 22.0 |"
-    assert lines[4].split(" | ")[-1].startswith("20.0 ") and len(lines) == 5
+    crowds = ["social-force-progress", "orca", "ipo", "macid", "macid-human", "macid-touch"]
+    assert lines[0].split(" | ")[1:] == [*crowds, "mean", "street |"]
+    told = [float(cell.split()[0]) for cell in lines[2].split(" | ")[1:]]
+    assert told == [1.0, 11.0, 21.0, 31.0, 41.0, 51.0, 26.0, 61.0]
+    assert lines[3].split(" | ")[1] == "0.0, 2.0" and lines[3].split(" | ")[-2:] == ["25.0, 27.0", "60.0, 62.0 |"]
+    assert lines[4].split(" | ")[-2].startswith("25.0 ") and len(lines) == 5
+
+
+def test_only_people_who_learned_as_others_than_the_papers_are_so_in_training_and_in_the_table(tmp_path):
+    street = load_suite("street").cells[0].config
+    for crowd in table3.CROWDS:
+        setting = table3.wanted("ppo", crowd, 0, 1000, tmp_path).setting
+        (suite, changes), paper = table3.columns()[crowd], load_suite("paper").cells[0].config
+        assert suite == "paper" and setting.pedestrian_model == crowd
+        assert paper.replace(**changes) == dataclasses.replace(setting, lcf=paper.lcf, num_pedestrians=24)
+        alike = [getattr(setting, name) == getattr(street, name) for name in ("person_radius", "companions")]
+        assert alike == [crowd == "macid-human"] * 2
+    assert table3.columns()["street"] == ("street", {})
+
+
+def test_a_suite_of_several_cells_is_scored_cell_by_cell_and_kept(tmp_path, monkeypatch):
+    """What is kept is not played again; the episodes are those of `run_episodes` on each cell."""
+    suite, rows = load_suite("street"), tmp_path / "rows"
+    rows.mkdir()
+    suite = dataclasses.replace(suite, cells=suite.cells[::3])
+    changes = {"horizon": 3, "pedestrian_model": "standing"}
+    measured = table3.scored(rows, "stop", suite, suite.drawn(2), **changes)
+    wanted = [
+        table3.measure(played)["PE"]
+        for cell in suite.cells
+        for played in table3.run_episodes(
+            table3.load_agent("stop"),
+            cell.config.replace(**changes),
+            table3.make_track("local", "lidar2d"),
+            [16000, 16001],
+        )
+    ]
+    assert [row["PE"] for row in measured] == wanted and len(list(rows.iterdir())) == 2
+    monkeypatch.setattr(table3, "run_episodes", None)
+    assert table3.scored(rows, "stop", suite, suite.drawn(2), **changes) == measured
 
 
 @pytest.mark.parametrize(

@@ -63,22 +63,6 @@ def test_the_columns_are_all_there_is():
     assert sum(encounters.COLUMNS.values()) == encounters.SIZE == 134
 
 
-@pytest.mark.parametrize(
-    ("apart", "velocity", "expected"),
-    [
-        ((3.0, 0.0), (-1.0, 0.0), 2.6),  # head-on: the gap over the speed
-        ((3.0, 0.0), (1.0, 0.0), np.inf),
-        ((3.0, 0.5), (-1.0, 0.0), np.inf),  # it passes by 0.1 m
-        ((3.0, 0.3), (-1.0, 0.0), 3.0 - (0.16 - 0.09) ** 0.5),
-        ((0.3, 0.0), (1.0, 0.0), 0.0),  # they overlap
-        ((3.0, 0.0), (0.0, 0.0), np.inf),
-    ],
-)
-def test_the_time_to_collision_of_two_discs(apart, velocity, expected):
-    found = encounters.time_to_collision(np.array(apart), np.array(velocity), np.array(0.4))
-    assert found == pytest.approx(expected)
-
-
 def test_a_single_person_who_comes_is_seen_in_the_frame_of_the_goal():
     state = CrowdState(
         np.array([[0.0, 0.0], [0.0, 3.0]]),

@@ -192,3 +192,25 @@ def test_numpy_and_jax_find_the_same_gaps():
     boxes = random_boxes(np.random.default_rng(6), 10)
     answer = jax.jit(geometry.box_box_gap)(jnp.asarray(boxes), jnp.asarray(np.stack([boxes[::-1]] * 10)))
     np.testing.assert_allclose(answer, geometry.box_box_gap(boxes, np.stack([boxes[::-1]] * 10)), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("apart", "velocity", "expected"),
+    [
+        ((3.0, 0.0), (-1.0, 0.0), 2.6),  # head-on: the gap over the speed
+        ((3.0, 0.0), (1.0, 0.0), np.inf),
+        ((3.0, 0.5), (-1.0, 0.0), np.inf),  # it passes by 0.1 m
+        ((3.0, 0.3), (-1.0, 0.0), 3.0 - (0.16 - 0.09) ** 0.5),
+        ((0.3, 0.0), (1.0, 0.0), 0.0),  # they overlap
+        ((3.0, 0.0), (0.0, 0.0), np.inf),
+    ],
+)
+def test_the_time_to_collision_of_two_discs(apart, velocity, expected):
+    found = geometry.time_to_collision(np.array(apart), np.array(velocity), np.array(0.4))
+    assert found == pytest.approx(expected)
+
+
+def test_discs_that_graze_each_other_touch_where_that_counts():
+    past = np.array([3.0, 0.5]), np.array([-1.0, 0.0]), 0.5
+    assert geometry.time_to_collision(*past) == np.inf
+    assert geometry.time_to_collision(*past, grazing=True) == 3.0
