@@ -6,8 +6,8 @@ from typing import Any
 
 from bson.commands import bench, board, data, evaluation, ros, training, view
 from macid import start
-from macid.command import Parser, check_words
-from macid.files import HelpFormatter, run_command, start_mujoco
+from macid.command import HelpFormatter, Parser, check_words
+from macid.running import run_command, start_mujoco
 
 
 def _doctor(args):

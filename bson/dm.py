@@ -15,7 +15,7 @@ from bson.episodes.tracks import LocalTrack, make_track
 from bson.interfaces.gym import ACTION_SPACE, Rebuilt, checked_action, first, plain_seed
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from macid.drawing import close_before_all_else
+from macid.drawing.gl import close_before_all_else
 
 
 def _import_dm_control():

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 
 from macid import start
-from macid.files import run_command, start_mujoco
+from macid.running import run_command, start_mujoco
 
 _PATIENCE = 120  # time for the process that tries to draw [s]
 
@@ -80,7 +80,7 @@ def _jax():
 def _gl():
     if problem := _trial():
         raise RuntimeError(problem)
-    from macid.drawing import gl_problem
+    from macid.drawing.gl import gl_problem
 
     if problem := gl_problem():
         raise RuntimeError(problem)
@@ -131,7 +131,7 @@ def _sensors():
 
 
 def _cameras():
-    from macid.drawing import gl_problem
+    from macid.drawing.gl import gl_problem
 
     if _trial() or gl_problem():
         raise RuntimeError("not tried: there are no pictures here")

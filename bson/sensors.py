@@ -28,7 +28,7 @@ import mujoco
 import numpy as np
 
 from macid.documents import MOST_NUMBER, is_number, shown
-from macid.drawing import Unavailable
+from macid.drawing.gl import Unavailable
 
 _LEAST_RATE = 1e-9  # [Hz]
 _MOST_NOISE = 1e6  # standard deviations
@@ -435,7 +435,7 @@ class RgbCamera(Camera):
         return gymnasium.spaces.Box(0, 255, (self.height, self.width, 3), np.uint8)
 
     def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
-        """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
+        """The reading function. Raises macid.drawing.gl.Unavailable without OpenGL."""
         look = self._bind(world, robot)
         return lambda world, ids: look(world, ids)[0]
 
@@ -470,7 +470,7 @@ class DepthCamera(Camera, Ranging):  # in this order, so that the camera's site 
         return {**super().export(spec, robot), "read_as": "depth", **bounds}
 
     def bind(self, world: Any, robot: str = "robot") -> Callable[[Any, np.ndarray], np.ndarray]:
-        """The reading function. Raises macid.drawing.Unavailable without OpenGL."""
+        """The reading function. Raises macid.drawing.gl.Unavailable without OpenGL."""
         look = self._bind(world, robot)
         return lambda world, ids: self._within(look(world, ids)[1])
 

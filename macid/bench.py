@@ -12,9 +12,9 @@ import jax.numpy as jnp
 
 from macid.engines.base import Engine
 from macid.layout import LEVELS, load_level
+from macid.learning import config as presets
 from macid.learning import ppo
-from macid.learning import train as presets
-from macid.learning.train import Trainer
+from macid.learning.trainer import Trainer
 from macid.observation import observe
 
 WORLDS = (1, 4, 16, 64)

@@ -104,8 +104,9 @@ def watch(
     """
     from tqdm import tqdm
 
-    from macid import drawing, watch
+    from macid import watch
     from macid.crowd import CrowdConfig
+    from macid.drawing import gl
     from macid.evaluate import level_name, table_lcf, usual_period
     from macid.layout import load_level
 
@@ -128,7 +129,7 @@ def watch(
     least, most = lcf or table_lcf(pedestrian)
     people = _people(radius, preferred_speed, max_speed, companions)
     config = CrowdConfig(period=period, duration=seconds, lcf=(least, most), **people)
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     show(f"{pedestrian} on {level_name(level)} ...")
     start.cleaning_up()
@@ -198,17 +199,18 @@ def train(
     """Trains pedestrians, as `macid train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` +
     `seeds` - 1, each with policy.npz, policy.json and curve.csv.
 
-    preset, fields: see macid.learning.train.preset; `nworld`, `agent_steps`, `level`, `engine`, `period` are such
+    preset, fields: see macid.learning.config.preset; `nworld`, `agent_steps`, `level`, `engine`, `period` are such
     fields. resume: goes on from checkpoints. executor, ray_address, workers: see macid.executors.make_executor. In this
     process all seeds are trained at once, and sums are rounded otherwise than alone; elsewhere each is trained as if
     alone. show: called with lines on the progress. Raises UsageError or another ValueError of one line.
     """
+    from macid.learning import config
     from macid.learning import train as training
     from macid.learning.jobs import folder_of
 
-    first = training.preset(preset, method=method, seed=seed, **fields)
+    first = config.preset(preset, method=method, seed=seed, **fields)
     folder = check_folder(out)
-    configs = training.seeds_of(first, seeds)
+    configs = config.seeds_of(first, seeds)
     start.cleaning_up()
     with make_executor(executor, ray_address, workers) as runner:
         if runner.workers is not None:

@@ -27,7 +27,8 @@ from typing import Any
 
 from macid import assets, start
 from macid.executors import Carried, Job, Work
-from macid.files import UsageError, one_line, start_mujoco, versions
+from macid.files import UsageError, one_line, versions
+from macid.running import start_mujoco
 from macid.threads import VARIABLE
 
 INSTALL = "pip install 'bson-macid[ray]'"

@@ -21,6 +21,15 @@ _NAME = 1000  # characters of an agent's name, a file's
 _WORD = 100_000  # of any word: an LCF for each of 2,000 people fits
 
 
+class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Help with the defaults that tell something."""
+
+    def _get_help_string(self, action):
+        if action.default in (None, False) or "(default" in (action.help or ""):
+            return action.help
+        return super()._get_help_string(action)
+
+
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, and whose numbers have bounds."""
 

@@ -18,8 +18,8 @@ import jax
 import mujoco
 import numpy as np
 
-from macid import drawing
 from macid.crowd import Crowd, CrowdConfig
+from macid.drawing.colours import lcf_colour
 from macid.files import UsageError, named, versions, whole_folder, write_bytes, write_json
 from macid.geometry import rotate
 from macid.layout import Layout
@@ -127,7 +127,7 @@ def _copied(spec, element, value, sources, folder):
 def stand_at(spec: mujoco.MjSpec, people: np.ndarray, lcf: np.ndarray) -> None:
     """Makes the poses `people` (K, 3) [m, m, rad] those in which a viewer finds people when it opens `spec`, and
     colours them by their `lcf` (K,). What qpos means stays as it was."""
-    for index, ((x, y, yaw), colour) in enumerate(zip(people, drawing.lcf_colour(lcf), strict=True)):
+    for index, ((x, y, yaw), colour) in enumerate(zip(people, lcf_colour(lcf), strict=True)):
         name = f"person{index}"
         spec.body(name).pos = [x, y, HEIGHT / 2]
         spec.body(name).quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]

@@ -1,10 +1,9 @@
-"""Results on disk, and command-line errors.
+"""Results on disk, and the errors of those who ask for them.
 
 Where results are to go is checked before the work begins. They are written to a temporary name and renamed, so that
 nobody reads half a file. A run has its folder for itself.
 """
 
-import argparse
 import contextlib
 import errno
 import fcntl
@@ -43,7 +42,8 @@ def named(path: Any) -> str:
     return f"'{text}'" if len(text) <= 200 else f"'{text[:100]}...{text[-90:]}'"
 
 
-def _reason(error):
+def reason_of(error: Any) -> str:
+    """What an error says, of an OSError without its number and path."""
     return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
@@ -80,7 +80,7 @@ def check_folder(path: str | os.PathLike[str]) -> pathlib.Path:
             pass
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise UsageError(
-            f"Can't write to {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+            f"Can't write to {named(folder)}: {reason_of(error)}. Name a folder that you can write to."
         ) from None
     return folder
 
@@ -92,7 +92,7 @@ def output_folder(path: str | os.PathLike[str]) -> pathlib.Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(
-            f"Can't make the folder {named(folder)}: {_reason(error)}. Name a folder that you can write to."
+            f"Can't make the folder {named(folder)}: {reason_of(error)}. Name a folder that you can write to."
         ) from None
     return folder
 
@@ -132,7 +132,7 @@ def check_file(path: str | os.PathLike[str], what: str = "file") -> pathlib.Path
         raise
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         article = "a" if isinstance(error, IsADirectoryError) else "another"
-        raise UsageError(f"Can't write {named(path)}: {_reason(error)}. Name {article} {what}.") from None
+        raise UsageError(f"Can't write {named(path)}: {reason_of(error)}. Name {article} {what}.") from None
     return path
 
 
@@ -220,7 +220,7 @@ def new_file(path: str | os.PathLike[str], ending: str = "") -> Iterator[tuple[A
         raise
     except OSError as error:
         gone = not os.path.isdir(os.path.dirname(os.path.realpath(path)))
-        reason = f"there is no folder {named(path.parent)}" if gone else _reason(error)
+        reason = f"there is no folder {named(path.parent)}" if gone else reason_of(error)
         told = WriteError(f"Can't write {named(path)}: {reason}.")
         told.errno = error.errno
         raise told from None
@@ -312,7 +312,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[pathlib.Path]:
         except UsageError:
             raise
         except OSError as error:
-            raise UsageError(f"Can't write {named(folder)}: {_reason(error)}. Name a new folder.") from None
+            raise UsageError(f"Can't write {named(folder)}: {reason_of(error)}. Name a new folder.") from None
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
             os.close(handle)
@@ -350,136 +350,7 @@ def versions(*packages: str) -> dict[str, str]:
     return {**found, "python": platform.python_version(), "os": sys.platform}
 
 
-class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Help with the defaults that tell something."""
-
-    def _get_help_string(self, action):
-        if action.default in (None, False) or "(default" in (action.help or ""):
-            return action.help
-        return super()._get_help_string(action)
-
-
 def one_line(text: str, most: int = 4000) -> str:
     """`text` as one line that every terminal can show, of at most `most` characters."""
     text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
     return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def start_mujoco(draws: bool = True) -> None:
-    """Imports MuJoCo, which chooses OpenGL's backend by MUJOCO_GL at that moment. Raises UsageError. A command that
-    does not draw goes on without OpenGL where this backend can't be had, or without MuJoCo where it isn't installed."""
-    try:
-        with start.quiet_children():  # of GLFW
-            import mujoco
-
-        return
-    except Exception as error:  # whatever its choice of OpenGL brings up
-        chosen, problem = os.environ.get("MUJOCO_GL", ""), error
-    if not draws:
-        os.environ["MUJOCO_GL"] = "disable"
-        with contextlib.suppress(ImportError):
-            import mujoco  # noqa: F401
-
-            for module in [name for name in sys.modules if name.startswith("mujoco.")]:  # those of the failed import
-                parent, _, child = module.rpartition(".")
-                setattr(sys.modules[parent], child, sys.modules[module])
-        os.environ["MUJOCO_GL"] = chosen
-        return
-    mend = {
-        "": "Reinstall it: pip install 'mujoco>=3.17,<4'",
-        "egl": "Install EGL (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri), or unset MUJOCO_GL",
-    }.get(chosen.lower().strip(), "Unset it, or use egl")
-    raise UsageError(f"MuJoCo can't start with MUJOCO_GL='{chosen}' ({problem}). {mend}.")
-
-
-class _Stream:
-    """A standard stream that never stops the work. Once it can't be written (a full disk, a pipe that nobody reads),
-    all that follows is dropped. Characters that its encoding lacks are escaped.
-
-    problem: the first OSError.
-    """
-
-    def __init__(self, stream):
-        # None: it was closed before Python began. The file stays open as long as the process.
-        self._stream = open(os.devnull, "w") if stream is None else stream  # noqa: SIM115
-        self.problem = None
-
-    def __getattr__(self, name):
-        return getattr(self._stream, name)
-
-    def write(self, text):
-        try:
-            return self._stream.write(text)
-        except UnicodeEncodeError:
-            encoding = self._stream.encoding
-            return self.write(text.encode(encoding, "backslashreplace").decode(encoding))
-        except OSError as error:
-            self._drop(error)
-            return len(text)
-
-    def flush(self):
-        try:
-            self._stream.flush()
-        except OSError as error:
-            self._drop(error)
-
-    def _drop(self, error):
-        """Sends what the stream still holds and what will come to nowhere."""
-        self.problem = self.problem or error
-        with contextlib.suppress(OSError, ValueError):  # it is no file
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self._stream.fileno())
-            os.close(nowhere)
-
-
-def run_command(program: str, main: Callable[[], int]) -> int:
-    """Runs `main()`; an error of the user's is one line on stderr and exit code 2, Ctrl-C is exit code 130.
-
-    Results are written even where nothing can be printed; the exit code is then 2, or 1 without a word where nobody
-    reads any more, as after `head`. With BSON_TRACEBACK set in the environment, errors are raised as they are.
-    """
-    output, errors, ended = _Stream(sys.stdout), _Stream(sys.stderr), None
-    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
-        try:
-            code = _answer(program, main)
-        except SystemExit as end:  # of the parser, after its help
-            ended, code = end, int(bool(end.code))
-        output.flush()
-        errors.flush()
-        if not code and output.problem:
-            if isinstance(output.problem, BrokenPipeError):
-                return 1
-            print(f"{program}: error: Can't print: {_reason(output.problem)}.", file=errors)
-            return 2
-    if ended:
-        raise ended
-    return code
-
-
-def _answer(program, main):
-    """`main()`'s exit code; where it raises an error, this is told, and the code is the error's."""
-    try:
-        return main()
-    except KeyboardInterrupt:
-        problem, code = "interrupted", start.INTERRUPTED
-    except (ValueError, OSError, FloatingPointError, MemoryError) as error:
-        if os.environ.get("BSON_TRACEBACK"):
-            raise
-        problem, code = f"error: {_told(error)}", 2
-    except BaseException:
-        if not start.interrupted():
-            raise
-        problem, code = "interrupted", start.INTERRUPTED
-    if start.interrupted():  # whatever came of it
-        problem, code = "interrupted", start.INTERRUPTED
-    print(f"{program}: {one_line(problem)}", file=sys.stderr)
-    return code
-
-
-def _told(error):
-    """An error in words for a user."""
-    if isinstance(error, MemoryError):
-        return f"There is not enough memory for this ({error}): ask for fewer worlds, people or episodes at once."
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.strerror}: {named(error.filename)}." if error.filename else f"{error.strerror}."
-    return str(error)

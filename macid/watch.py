@@ -1,7 +1,7 @@
 """Films of a crowd, drawn offscreen: the whole map from above, and the view of one of its people, at eye height.
 
 A person's colour is its LCF. Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL:
-`macid.drawing.gl_problem()` says what is missing.
+`macid.drawing.gl.gl_problem()` says what is missing.
 """
 
 import dataclasses
@@ -15,9 +15,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from macid import drawing, geometry, metrics, scene
+from macid import geometry, metrics, scene
 from macid.crowd import CONFIG, Crowd, CrowdConfig, snapshot
-from macid.drawing import GOAL_RGB, INK, MUTED, NEAR, PANEL, PAPER, lcf_colour, rgb255
+from macid.drawing import strokes, video
+from macid.drawing.colours import GOAL_RGB, INK, MUTED, PANEL, PAPER, lcf_colour, rgb255
+from macid.drawing.stage import NEAR, Stage
 from macid.evaluate import level_name, level_seed
 from macid.files import UsageError
 from macid.layout import WALL_THICKNESS, Layout, load_level
@@ -133,7 +135,7 @@ def worth_following(recording: Recording, step: int = 0) -> int:
     return int(np.argmax(np.where(walking[0], way - off, -np.inf)))
 
 
-class Film(drawing.Stage):
+class Film(Stage):
     """Draws a recording. Close it, or use it in a `with`; raises Unavailable without OpenGL.
 
     follow: the person whose eyes to look through (default: `worth_following`); when it has left, somebody else's.
@@ -165,7 +167,7 @@ class Film(drawing.Stage):
             title += f", LCF {low:.3g}" if low == high else f", LCF {low:.3g} to {high:.3g}"
         notes = [f"seed {recording.seed}"]
         if speed is not None:
-            notes.append(drawing.pace(speed))
+            notes.append(video.pace(speed))
         self.write_header(page, title, notes)
         self._panels(page, time, moment)
         return page
@@ -227,9 +229,9 @@ class Film(drawing.Stage):
         half = self.recording.layout.size / 2
         for offset in np.arange(-half, half, 5.0):
             for ends in ([[offset, -half], [offset, half]], [[-half, offset], [half, offset]]):
-                drawing.line(ground, self._on_ground(ends), _GRID, 1.0)
+                strokes.line(ground, self._on_ground(ends), _GRID, 1.0)
         for index, corners in enumerate(self._on_ground(geometry.box_corners(self.recording.layout.boxes))):
-            drawing.polygon(ground, corners, _WALL if index < 4 else _OBSTACLE)
+            strokes.polygon(ground, corners, _WALL if index < 4 else _OBSTACLE)
         self.draw_metres(ground, width / self._span)
         return ground
 
@@ -245,29 +247,29 @@ class Film(drawing.Stage):
         place, heading = self._gaze(time)
         watched = self.watched(time)
         fan = heading + np.linspace(-0.5, 0.5, 9) * _FIELD_OF_VIEW
-        drawing.polygon(layer, at(np.vstack([place, place + 6.0 * geometry.heading(fan)])), PAPER)
+        strokes.polygon(layer, at(np.vstack([place, place + 6.0 * geometry.heading(fan)])), PAPER)
         cv2.addWeighted(layer, 0.6, canvas, 0.4, 0.0, canvas)
         layer = canvas.copy()
         ages = np.linspace(_TRAIL, 0.0, 9)
         ways = at(np.stack([recording.at(max(0.0, time - age)).position for age in ages], axis=1))
         for person, goal in zip(walkers, at(recording.goals[walkers]), strict=True):
-            drawing.disc(layer, goal, 2 * unit, self._faint[person])
-            drawing.line(layer, ways[person], self._faint[person], 2 * unit)
+            strokes.disc(layer, goal, 2 * unit, self._faint[person])
+            strokes.line(layer, ways[person], self._faint[person], 2 * unit)
         cv2.addWeighted(layer, 0.55, canvas, 0.45, 0.0, canvas)
         radius = recording.radius * metre
         noses = at(moment.position + 0.75 * recording.radius * geometry.heading(moment.yaw))
         spots = at(moment.position)
         for person in np.flatnonzero(moment.touching):
-            drawing.disc(canvas, spots[person], radius + 4 * unit, rgb255(_CONTACT_RGB))
+            strokes.disc(canvas, spots[person], radius + 4 * unit, rgb255(_CONTACT_RGB))
         for person in walkers:
-            drawing.disc(canvas, spots[person], radius, self._bright[person])
-            drawing.ring(canvas, spots[person], radius, INK, unit)
-            drawing.disc(canvas, noses[person], 0.3 * radius, INK)
+            strokes.disc(canvas, spots[person], radius, self._bright[person])
+            strokes.ring(canvas, spots[person], radius, INK, unit)
+            strokes.disc(canvas, noses[person], 0.3 * radius, INK)
         if moment.walking[watched]:
             for colour, thickness in ((PAPER, 4.0), (INK, 1.6)):
-                drawing.ring(canvas, at(place), radius + 6.5 * unit, colour, thickness * unit)
+                strokes.ring(canvas, at(place), radius + 6.5 * unit, colour, thickness * unit)
             goal = at(recording.goals[watched])
-            drawing.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
+            strokes.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
         page[top : top + height, left : left + width] = canvas
 
     def _panels(self, page, time, moment):
@@ -290,7 +292,7 @@ class Film(drawing.Stage):
         x0, x1 = round(left + 14 * unit), round(left + width - 14 * unit)
         if not is_learned(recording.pedestrian):
             note = f"'{recording.pedestrian}' is a rule without LCFs: everybody has one colour."
-            drawing.write(page, note, (x0, top + 36 * unit), 0.44 * unit, MUTED)
+            strokes.write(page, note, (x0, top + 36 * unit), 0.44 * unit, MUTED)
         else:
             self.draw_lcf_scale(page, x0, x1, top + 30 * unit, recording.lcf_range)
         keys = [
@@ -324,7 +326,7 @@ def film(
             for time in times:
                 yield camera.frame(time, speed)
 
-    return drawing.write_webm(path, pictures(), len(times), FPS, progress)
+    return video.write_webm(path, pictures(), len(times), FPS, progress)
 
 
 def still(
@@ -337,4 +339,4 @@ def still(
     """Saves `recording` at `time` [s] (default: the middle) as the PNG `path`; returns the path."""
     time = recording.duration / 2 if time is None else time
     with Film(recording, follow, scale, samples=4) as camera:
-        return drawing.write_png(path, camera.frame(time))
+        return video.write_png(path, camera.frame(time))

@@ -19,7 +19,8 @@ from bson.evaluation.results import Results
 from bson.evaluation.suites import load_suite, suite_names
 from macid import command
 from macid.command import Parser, check_words
-from macid.files import UsageError, run_command, write_bytes
+from macid.files import UsageError, write_bytes
+from macid.running import run_command
 
 DIGITS = 2
 

@@ -23,7 +23,8 @@ import warnings
 import macid
 from macid import command
 from macid.command import Parser, check_words
-from macid.files import UsageError, output_folder, run_command, write_bytes
+from macid.files import UsageError, output_folder, write_bytes
+from macid.running import run_command
 
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGES = ("bson", "macid")

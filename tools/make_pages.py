@@ -27,10 +27,11 @@ from macid import command
 from macid.command import Parser, check_words
 from macid.documents import read_document
 from macid.evaluate import level_name
-from macid.files import UsageError, run_command, write_bytes
+from macid.files import UsageError, write_bytes
 from macid.layout import LEVELS, OTHER_LEVELS
 from macid.learning.methods import METHODS
 from macid.policy import load_policy, policy_names
+from macid.running import run_command
 from macid.state import PHYSICS_STEP
 
 ROOT = pathlib.Path(__file__).parents[1]

@@ -23,12 +23,13 @@ import numpy as np
 from macid import command
 from macid.command import MOST_SEEDS, Parser, add_executor, check_words
 from macid.executors import Carried, call, carry_files, make_executor
-from macid.files import output_folder, run_command, write_bytes, write_json
+from macid.files import output_folder, write_bytes, write_json
 from macid.human import data, figures
 from macid.human.knob import WHERE
 from macid.human.measure import Options, measure, troupe
 from macid.pedestrians import check_model, is_learned, model_names
 from macid.policy import load_policy
+from macid.running import run_command
 from macid.state import RADIUS
 
 NARROW = 0.2  # the other radius [m]

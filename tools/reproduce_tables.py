@@ -24,13 +24,16 @@ from macid.crowd import CrowdConfig
 from macid.engines import engine_kind
 from macid.evaluate import TOLERATED, evaluate_level, lcf_bins, level_name, measure_knob, table_lcf, usual_period
 from macid.executors import Carried, call, carry_files, make_executor
-from macid.files import UsageError, output_folder, run_command, versions, write_bytes, write_json
+from macid.files import UsageError, output_folder, versions, write_bytes, write_json
 from macid.layout import LEVELS, OTHER_LEVELS, load_level
+from macid.learning.config import TrainConfig, preset
 from macid.learning.curves import completed, plain
 from macid.learning.methods import LEVEL_METHODS, METHODS
-from macid.learning.train import TrainConfig, preset, train, train_apart
+from macid.learning.train import train, train_apart
 from macid.metrics import rank_correlation
+from macid.pages import new_figure
 from macid.policy import load_policy
+from macid.running import run_command
 from macid.state import PHYSICS_STEP
 
 COLUMNS = ("SR10", "CP", "PE")
@@ -223,10 +226,11 @@ def note_scores(files, rows_by_seed):
 def over_seeds(rows_by_seed, columns=COLUMNS):
     """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None for a single
     seed."""
-    values = np.array(
+    values = np.ma.masked_invalid(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
-    return np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1) if len(values) > 1 else None
+    spread = values.std(axis=0, ddof=1).filled(np.nan) if len(values) > 1 else None
+    return values.mean(axis=0).filled(np.nan), spread
 
 
 def line(label, mean, std=None):
@@ -290,11 +294,7 @@ def knob_table(figure, by_method, levels):
 
 def plot(curves, path):
     """Fig. 2: SR_n against n, a panel a level; curves {name: (levels, TOLERATED)}."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(12, 3.4))
     for index, (axes, level) in enumerate(zip(figure.subplots(1, len(LEVELS)), LEVELS, strict=True)):
         for number, (name, curve) in enumerate(curves.items()):
             style = {"linewidth": 2.6} if name.startswith("macid") else {"linewidth": 1.4, "alpha": 0.85}

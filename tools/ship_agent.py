@@ -16,7 +16,8 @@ from bson.evaluation.results import read_results
 from bson.evaluation.suites import load_suite
 from macid import command
 from macid.command import Parser, check_words
-from macid.files import UsageError, run_command, write_bytes, write_json
+from macid.files import UsageError, write_bytes, write_json
+from macid.running import run_command
 
 AGENTS = pathlib.Path(__file__).parents[1] / "assets" / "agents"
 SCORES = ("SNS", "RC", "Coll", "SP", "PE")

@@ -1,4 +1,8 @@
-"""Shortest ways to one goal over an occupancy grid, from anywhere, and what a robot that follows one has to know."""
+"""Shortest ways to one goal over an occupancy grid, from anywhere, and what a robot that follows one has to know.
+
+A way is a row of cells, whose farthest one in sight learned robots were trained to see. Planners that go down a slope
+have lengths without favourite directions instead (bson.planners.way_field), which cost many sweeps over the whole map.
+"""
 
 import numpy as np
 from scipy import ndimage

@@ -18,9 +18,11 @@ from bson.benchmark.scoring import evaluate
 from bson.benchmark.tables import compare, heatmap, leaderboard
 from bson.benchmark.training import train, train_configs
 from bson.benchmark.wire import deploy, ros
+from bson.evaluation.results import Results
 from bson.evaluation.verify import verify
 
 __all__ = [
+    "Results",
     "compare",
     "dataset",
     "deploy",

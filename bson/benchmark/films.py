@@ -54,11 +54,11 @@ def film_episodes(
     from bson.episodes import film
     from bson.evaluation.metrics import sns
     from bson.simulation.scene import build_model
-    from macid import drawing
+    from macid.drawing import gl
 
     if number == 0:
         return [], "No films were asked for (--videos 0)."
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         print(f"No video: {problem}", file=sys.stderr)
         return [], f"No video: {problem}"
     output_folder(folder)
@@ -97,7 +97,7 @@ def film(
     from bson.evaluation.play import run_episodes
     from bson.simulation.scene import build_model
     from bson.task import TaskConfig
-    from macid import drawing
+    from macid.drawing import gl
 
     config, name = TaskConfig().replace(**overrides or {}), agent_label(agent)
     make_agent = load_agent(agent, untrained)
@@ -107,7 +107,7 @@ def film(
     if path.suffix not in (".webm", ".png"):
         raise UsageError(f"--out must end in .webm (a film) or .png (a picture), not '{path.name}'.")
     check_file(path)
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         raise UsageError(f"No pictures here: {problem}")
     check_spawn(config, [seed])
     with episodes_bar(name, 1, quiet) as progress:

@@ -1,6 +1,6 @@
 """Films of episodes, drawn offscreen: a chase view, the map, and the picture of the robot's camera, side by side.
 
-Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl_problem()` says whether something
+Pictures are RGB, (height, width, 3) uint8. Drawing needs OpenGL: `macid.drawing.gl.gl_problem()` says whether something
 for it is missing.
 """
 
@@ -14,8 +14,11 @@ import mujoco
 import numpy as np
 
 from bson.episodes.record import Episode
-from macid import drawing, geometry, scene
-from macid.drawing import FIGURE_PARTS, GOAL_RGB, INK, NEAR, PANEL, PAPER, lcf_colour, rgb255
+from macid import geometry, scene
+from macid.drawing import strokes, video
+from macid.drawing.colours import GOAL_RGB, INK, PANEL, PAPER, lcf_colour, rgb255
+from macid.drawing.figures import FIGURE_PARTS
+from macid.drawing.stage import NEAR, Stage
 from macid.state import GOAL_RADIUS, HEIGHT
 
 PATH_RGB = (0.95, 0.45, 0.0)
@@ -29,7 +32,7 @@ _CHASE, _MAP, _FRONT = (10, 46, 640, 440), (660, 46, 440, 440), (1110, 46, 400, 
 _READINGS = (1110, 280, 400, 206)
 
 
-class RobotStage(drawing.Stage):
+class RobotStage(Stage):
     """A Stage with a robot, whose camera it can look through."""
 
     def __init__(self, model: mujoco.MjModel, *more: Any, **options: Any):
@@ -128,7 +131,7 @@ class Film(RobotStage):
             self.write_label(page, view, label)
         notes = [f"seed {episode.seed}"]
         if speed is not None:
-            notes.append(drawing.pace(speed))
+            notes.append(video.pace(speed))
         self.write_header(page, self.title or "BSON", notes)
         self._panel(page, episode, step)
         return page
@@ -186,24 +189,24 @@ class Film(RobotStage):
         unit = self.scale
         start, goal = at(episode.pose[0, :2]), at(episode.goal)
         metre = width / map_window(episode)[1]
-        drawing.disc(canvas, start, 4.5 * unit, PAPER)
-        drawing.ring(canvas, start, 4.5 * unit, INK, 1.6 * unit)
-        drawing.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
+        strokes.disc(canvas, start, 4.5 * unit, PAPER)
+        strokes.ring(canvas, start, 4.5 * unit, INK, 1.6 * unit)
+        strokes.ring(canvas, goal, max(GOAL_RADIUS * metre, 5 * unit), rgb255(GOAL_RGB), 2.2 * unit)
         for spot in at(episode.people[step, :, :2]):
-            drawing.ring(canvas, spot, episode.person_radius * metre, INK, unit)
+            strokes.ring(canvas, spot, episode.person_radius * metre, INK, unit)
         x, y, yaw = episode.pose[step]
         c, s = math.cos(yaw), -math.sin(yaw)
         shape = np.array([[1.0, 0.0], [-0.75, 0.68], [-0.4, 0.0], [-0.75, -0.68]]) * 11 * unit
         arrow = at([x, y]) + shape @ np.array([[c, s], [-s, c]])
-        drawing.line(canvas, arrow, INK, 3.4 * unit, closed=True)
-        drawing.polygon(canvas, arrow, (255, 200, 20))
+        strokes.line(canvas, arrow, INK, 3.4 * unit, closed=True)
+        strokes.polygon(canvas, arrow, (255, 200, 20))
         for place, text in ((start, "start"), (goal, "goal")):
-            size, _ = drawing.measure(text, 0.44 * unit)
+            size, _ = strokes.measure(text, 0.44 * unit)
             spot = place + np.array([9 * unit, -9 * unit])
             if spot[0] + size > width - 6 * unit:
                 spot[0] = place[0] - 9 * unit - size
             spot[1] = max(spot[1], 40 * unit)
-            drawing.write(canvas, text, spot, 0.44 * unit, INK, halo=True)
+            strokes.write(canvas, text, spot, 0.44 * unit, INK, halo=True)
         self.draw_metres(canvas, metre)
         page[top : top + height, left : left + width] = canvas
 
@@ -312,7 +315,7 @@ def film(
             for step in steps:
                 yield camera.frame(episode, step, stride * episode.period * fps)
 
-    return drawing.write_webm(path, pictures(), len(steps), fps, progress)
+    return video.write_webm(path, pictures(), len(steps), fps, progress)
 
 
 def still(
@@ -326,4 +329,4 @@ def still(
     """Saves `episode` at control step `step` (default: the middle) as the PNG `path`; returns the path."""
     step = len(episode.pose) // 2 if step is None else step
     with Film(model, scale, title, samples=4) as camera:
-        return drawing.write_png(path, camera.frame(episode, step))
+        return video.write_png(path, camera.frame(episode, step))

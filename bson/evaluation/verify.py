@@ -352,7 +352,9 @@ def _other_means(content):
             now = [row.get(key) for key in ("mean", "low", "high")]
             if None in was + now or not np.allclose(np.array(was), np.array(now), _TOLERANCE, _TOLERANCE):
                 told_and_found = [f"{each[0]} in [{each[1]}, {each[2]}]" for each in (was, now)]
-                lines.append(f"{name} of {where}: the mean was {told_and_found[0]}, its episodes have {told_and_found[1]}")
+                lines.append(
+                    f"{name} of {where}: the mean was {told_and_found[0]}, its episodes have {told_and_found[1]}"
+                )
     return lines
 
 

@@ -14,7 +14,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack
 from bson.sensors import Lidar
 from bson.task import TaskConfig
-from macid.drawing import lcf_colour
+from macid.drawing.colours import lcf_colour
 
 PERSON = "person"  # who drives, where no agent does
 NAME = "human"  # the agent in results

@@ -10,7 +10,7 @@ from bson.agents import AgentFactory, agent_names, check_settings, load_agent
 from bson.episodes.film import PATH_RGB, Eye
 from bson.episodes.tracks import make_track
 from bson.interfaces.drive import PERSON, Course, Drive, action_of
-from macid import drawing
+from macid.drawing.gl import Unavailable
 from macid.layout import person_count
 from macid.live.page import Page, lcf_reading
 from macid.pedestrians import model_names
@@ -113,7 +113,7 @@ class DrivePage(Page):
         if self._eye is None and not self._blind:
             try:
                 self._eye = Eye(self.world.model)
-            except drawing.Unavailable as error:  # the page works without this picture
+            except Unavailable as error:  # the page works without this picture
                 self._blind = str(error)
                 self.tell(f"No picture of the robot's camera: {error}")
         self._seen_model = self.world.model

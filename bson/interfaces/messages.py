@@ -19,7 +19,7 @@ import numpy as np
 from bson.episodes.tracks import MAP_RESOLUTION
 from bson.sensors import DepthCamera, Imu, Lidar, Lidar2D, Mounted, RgbCamera, Sensor
 from bson.simulation.data import QUANTITIES
-from macid.drawing import lcf_colour
+from macid.drawing.colours import lcf_colour
 from macid.geometry import yaw_quaternion
 from macid.state import HEIGHT
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bson.reporting.page import numbers, render
+from macid.pages import INK
 
 _WORSE, _MIDDLE, _BETTER = np.array([[188, 74, 48], [250, 240, 215], [22, 108, 140]])  # safe for the colour-blind
 
@@ -41,7 +42,7 @@ class Scale:
         goodness = self.place(value) if self.better == "up" else 1.0 - self.place(value)
         end = _BETTER if goodness > 0.5 else _WORSE
         rgb = _MIDDLE + (end - _MIDDLE) * abs(2 * goodness - 1)
-        ink = "#fff" if rgb @ (0.299, 0.587, 0.114) < 140 else "#1d2733"
+        ink = "#fff" if rgb @ (0.299, 0.587, 0.114) < 140 else INK
         return f"background:rgb({','.join(str(round(c)) for c in rgb)});color:{ink}"
 
 

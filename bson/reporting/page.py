@@ -1,19 +1,16 @@
-"""The parts of the HTML pages. A page is one file: pictures and films are in it, and it needs no other file.
+"""The parts of the HTML pages (see macid.pages), and how they are published.
 
 A template escapes the texts that it is given, but not the output of another template.
 """
 
-import base64
-import io
 import pathlib
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 
+from macid import pages
 from macid.files import check_file, check_folder, lock_folder, write_bytes, write_json
 
-INK, ACCENT, BAD, GRID = "#1d2733", "#1f6f8b", "#c0392b", "#d9dfe5"
 DASH = Markup("&ndash;")  # where there is no value
 BETTER = {"up": Markup("&uarr;"), "down": Markup("&darr;"), "": ""}  # {a metric's `better`: its arrow}
 
@@ -47,30 +44,14 @@ def plural(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
-def new_figure(*args: Any, **kwargs: Any) -> Any:
-    """A Matplotlib figure made without pyplot, so that no display or global state is touched."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(*args, layout="constrained", **kwargs)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _base64(content):
-    return base64.b64encode(content).decode()
-
-
 def image(figure: Any, caption: str, dots: int = 130) -> Any:
     """A Matplotlib figure as HTML, at `dots` pixels an inch."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dots, facecolor="white")
-    return _PARTS.image(_base64(buffer.getvalue()), caption)
+    return _PARTS.image(pages.png(figure, dots), caption)
 
 
 def video(path: pathlib.Path, caption: str) -> Any:
     """The .webm film `path` as HTML."""
-    return _PARTS.video(_base64(path.read_bytes()), caption)
+    return _PARTS.video(pages.base64_of(path), caption)
 
 
 def render(template: str, **content: Any) -> Markup:
@@ -78,12 +59,6 @@ def render(template: str, **content: Any) -> Markup:
     return Markup(_TEMPLATES.get_template(template).render(content))
 
 
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(pathlib.Path(__file__).with_name("templates")),
-    autoescape=True,
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+_TEMPLATES = pages.templates(pathlib.Path(__file__).with_name("templates"))
 _TEMPLATES.globals["plural"] = plural
 _PARTS: Any = _TEMPLATES.get_template("parts.html").module

@@ -9,7 +9,8 @@ import numpy as np
 from bson.episodes.record import Episode
 from bson.evaluation.metrics import GROUPS, metrics_of, spread_by_score
 from bson.reporting.heatmap import Scale, Tile, cell_maps
-from bson.reporting.page import ACCENT, BAD, BETTER, DASH, GRID, INK, image, new_figure, numbers, render, video
+from bson.reporting.page import BETTER, DASH, image, numbers, render, video
+from macid.pages import ACCENT, BAD, GRID, INK, new_figure
 
 # (metric, heading, unit, decimals, meaning) of the cards and the tables of cells and episodes
 _SHOWN = (
@@ -63,7 +64,7 @@ def plot_trajectory(episode: Episode) -> Any:
     from matplotlib.patches import Circle, Rectangle
     from matplotlib.transforms import Affine2D
 
-    from macid.drawing import lcf_colour
+    from macid.drawing.colours import lcf_colour
 
     figure = new_figure(figsize=(4.0, 4.0))
     axes = figure.subplots()

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from macid import drawing
+from macid.drawing.gl import Offscreen
 
 
 def draw_plainly(quality: Any) -> None:
@@ -16,12 +16,12 @@ def draw_plainly(quality: Any) -> None:
     quality.offsamples, quality.shadowsize, quality.numquads, quality.numstacks = 0, 0, 1, 2
 
 
-class Renderer(drawing.Offscreen):
+class Renderer(Offscreen):
     """Draws the pictures of `model`'s cameras in `nworld` worlds, without shadows; a picture has its camera's
     resolution.
 
     model: as sensors see it; it is copied. Close the Renderer, or drop the last reference to it. Raises
-    macid.drawing.Unavailable without OpenGL.
+    macid.drawing.gl.Unavailable without OpenGL.
     """
 
     def __init__(self, model: mujoco.MjModel, nworld: int):

@@ -90,7 +90,7 @@ class World:
         engine: MakeEngine = NativeEngine,
     ):
         """with_robot: False puts the robots where nobody sees or meets them, so that the same people walk among
-        themselves. Raises ValueError for arguments that don't fit together, macid.drawing.Unavailable for cameras
+        themselves. Raises ValueError for arguments that don't fit together, macid.drawing.gl.Unavailable for cameras
         without OpenGL."""
         check_worlds("nworld", nworld)
         self._made = nworld, tuple(sensors), nthread, with_robot, engine

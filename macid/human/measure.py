@@ -147,6 +147,7 @@ def measure(
         "versions": versions("mujoco", "jax", "numpy"),
     }
     if out is not None:
+        from macid.human import film as films
         from macid.human import page as pages
 
         with new_folder(out) as target:
@@ -154,7 +155,7 @@ def measure(
             if page and scenes:
                 film = target / FILM
                 show(f"film: {film}")
-                pages.film(film, scenes, played[0], document["pedestrian"], document.get("radius", pages.BODY))
+                films.film(film, scenes, played[0], document["pedestrian"], document.get("radius", films.BODY))
             write_json(target / RESULTS, document)
             if page:
                 pages.write(target / PAGE, document, film)

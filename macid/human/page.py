@@ -1,24 +1,15 @@
-"""The page of a measured model: one HTML file with its table, plots and film; and the film of model and people."""
+"""The page of a measured model: one HTML file with its table, plots and film."""
 
-import base64
-import io
 import pathlib
 from typing import Any
 
-import jinja2
 import numpy as np
 
-from macid import drawing
+from macid.files import write_bytes
 from macid.human import figures
-from macid.human.data import OPEN_PERIOD
-from macid.human.replay import Played, Scene
+from macid.pages import ACCENT, GRID, INK, base64_of, new_figure, png, templates
 
-FPS, SPEED = 25, 2.0  # frames a second, and how many times as fast a film plays
-SECONDS = 24.0  # of the scene's time
-_INK, _PEOPLE, _MODEL, _GRID = "#1d2733", "#8a94a0", "#1f6f8b", "#d9dfe5"
-_SIDE, _HEAD = 560, 40  # of a film's halves, and above them [pixels]
-BODY = 0.2  # radius with which real people are drawn [m]
-_AHEAD = 0.8  # [s]
+_PEOPLE, _MODEL = "#8a94a0", ACCENT
 _GROUPS = {
     "open": "Open scenes, replayed",
     "lab": "In corridors",
@@ -30,21 +21,17 @@ _GROUPS = {
 
 def write(path: pathlib.Path, document: dict[str, Any], film: pathlib.Path | None = None) -> None:
     """Writes the page of a document of macid.human.measure.measure to the file `path`. film: a .webm file to show."""
-    from macid.files import write_bytes
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(pathlib.Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    )
-    text = environment.get_template("page.html").render(
-        document=document,
-        told=_told(document),
-        groups=_groups(document),
-        plots=_plots(document),
-        film=base64.b64encode(film.read_bytes()).decode() if film else None,
-        sources=sorted({f"{f['source']} ({f['licence']})" for f in figures.shipped()["files"] if "source" in f}),
+    text = (
+        templates(pathlib.Path(__file__).parent)
+        .get_template("page.html")
+        .render(
+            document=document,
+            told=_told(document),
+            groups=_groups(document),
+            plots=_plots(document),
+            film=base64_of(film) if film else None,
+            sources=sorted({f"{f['source']} ({f['licence']})" for f in figures.shipped()["files"] if "source" in f}),
+        )
     )
     write_bytes(path, text.encode())
 
@@ -85,24 +72,14 @@ def _groups(document):
 
 
 def _figure():
-    """A Matplotlib figure made without pyplot, and its axes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure((6.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    """A figure and its axes."""
+    figure = new_figure((6.0, 4.0))
     axes = figure.subplots()
-    axes.grid(color=_GRID, linewidth=0.8)
+    axes.grid(color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(colors=_INK)
+    axes.tick_params(colors=INK)
     return figure, axes
-
-
-def _png(figure):
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, facecolor="white")
-    return base64.b64encode(buffer.getvalue()).decode()
 
 
 def _plots(document):
@@ -115,17 +92,17 @@ def _plots(document):
         for curves, label, colour in both:
             rows = np.array([row for row in curves.get("E", []) if row[1] is not None], float).reshape(-1, 2)
             axes.plot(rows[:, 0], rows[:, 1], "o-", color=colour, label=label, markersize=4)
-        axes.axhline(0.0, color=_INK, linewidth=0.8)
+        axes.axhline(0.0, color=INK, linewidth=0.8)
         axes.set(xlabel="time to collision [s]", ylabel="E", xlim=(0, 8))
         axes.legend(frameon=False)
-        plots.append((_png(figure), "Anticipation: how rare a time to collision is, beside people who don't meet"))
+        plots.append((png(figure), "Anticipation: how rare a time to collision is, beside people who don't meet"))
         figure, axes = _figure()
         for curves, label, colour in both:
             edges, share = np.array(curves["speeds"]["edges"]), np.array(curves["speeds"]["share"])
             axes.stairs(100 * share, edges, color=colour, label=label, linewidth=2, fill=label == "people", alpha=0.85)
         axes.set(xlabel="a person's mean speed [m/s]", ylabel="people [%]")
         axes.legend(frameon=False)
-        plots.append((_png(figure), "Speeds of people who walk, in open scenes"))
+        plots.append((png(figure), "Speeds of people who walk, in open scenes"))
     if model.get("diagram") or people.get("diagram"):
         figure, axes = _figure()
         for curves, label, colour in both:
@@ -134,9 +111,7 @@ def _plots(document):
             axes.scatter(rows[:, 0], rows[:, 1], s=size, color=colour, alpha=0.6, label=label, linewidths=0)
         axes.set(xlabel="density [1/m2]", ylabel="speed [m/s]", xlim=(0, 3.2), ylim=(0, 1.8))
         axes.legend(frameon=False)
-        plots.append(
-            (_png(figure), "Fundamental diagram, one way: mean speeds by density; larger marks, more instants")
-        )
+        plots.append((png(figure), "Fundamental diagram, one way: mean speeds by density; larger marks, more instants"))
     keys = [key for key in document["measures"] if key.startswith(("exit", "two_speed"))]
     shown = [key for key in keys if document["measures"][key]["seeds"]]
     if shown:
@@ -149,7 +124,7 @@ def _plots(document):
         axes.set_xticks(np.arange(len(shown)), ticks, fontsize=8)
         axes.set(ylabel="flow [1/m/s], speed [m/s]")
         axes.legend(frameon=False)
-        plots.append((_png(figure), "Flows through exits, and speeds where two ways meet"))
+        plots.append((png(figure), "Flows through exits, and speeds where two ways meet"))
     return plots + (_knob_plots(document["knob"]) if "knob" in document else [])
 
 
@@ -167,53 +142,5 @@ def _knob_plots(knob):
                 axes.plot(knob["lcf"], values, "o-", color=colour, label=None if number else where, markersize=4)
         axes.set(xlabel="LCF", ylabel=label)
         axes.legend(frameon=False)
-        plots.append((_png(figure), caption))
+        plots.append((png(figure), caption))
     return plots
-
-
-def film(path: pathlib.Path, scenes: list[Scene], played: Played, name: str, radius: float) -> pathlib.Path:
-    """Writes the film `path` (.webm) of the fullest SECONDS of `scenes`: real people left, right the model `name` with
-    bodies of `radius` [m]. Returns the path."""
-    crowds = [np.isfinite(position[..., 0]).sum(axis=1) for position in played.position]
-    which = int(np.argmax([crowd.max() for crowd in crowds]))
-    scene, model = scenes[which], played.position[which]
-    samples = round(SECONDS / OPEN_PERIOD)
-    sums = np.convolve(crowds[which], np.ones(min(samples, len(crowds[which]))), "valid")
-    begin = int(np.argmax(sums))
-    times = np.arange(0.0, min(samples, len(model) - begin - 1) * OPEN_PERIOD, SPEED / FPS)
-
-    def pictures():
-        for time in times:
-            page = np.full((_HEAD + _SIDE, 2 * _SIDE, 3), 255, np.uint8)
-            left = _half(scene, scene.position, begin, time, BODY, (138, 148, 160))
-            right = _half(scene, model, begin, time, radius, (31, 111, 139))
-            page[_HEAD:, :_SIDE], page[_HEAD:, _SIDE:] = left, right
-            drawing.write(page, f"people, {scene.name}", (12, 27), 0.66, (29, 39, 51))
-            drawing.write(page, name, (_SIDE + 12, 27), 0.66, (29, 39, 51))
-            yield page
-
-    return drawing.write_webm(path, pictures(), len(times), FPS)
-
-
-def _half(scene, position, begin, time, radius, colour):
-    """One picture of people at `position` (T, P, 2) at `time` [s] after the sample `begin`."""
-    metre = _SIDE / (2 * scene.reach + 2.0)
-    canvas = np.full((_SIDE, _SIDE, 3), (242, 245, 247), np.uint8)
-
-    def at(then):
-        exact = begin + then / OPEN_PERIOD
-        before = min(int(exact), len(position) - 1)
-        after = min(before + 1, len(position) - 1)
-        along = position[before] + (exact - before) * (position[after] - position[before])
-        return np.where(np.isnan(along), position[before], along)
-
-    def pixels(place):
-        return np.stack([_SIDE / 2 + metre * place[..., 0], _SIDE / 2 - metre * place[..., 1]], axis=-1)
-
-    now, later = pixels(at(time)), pixels(at(time + _AHEAD))
-    for who in np.flatnonzero(~np.isnan(now[:, 0])):
-        shade = (176, 180, 184) if scene.stands[who] else colour
-        if not np.isnan(later[who, 0]) and not scene.stands[who]:
-            drawing.line(canvas, np.array([now[who], later[who]]), shade, 2.0)
-        drawing.disc(canvas, now[who], max(2.0, radius * metre), shade)
-    return canvas

@@ -44,7 +44,7 @@ _HOLD = jax.lax.stop_gradient
 
 @dataclasses.dataclass(frozen=True)
 class SceneConfig:
-    """How people learn in scenes, beside macid.learning.train.TrainConfig. Costs are per second."""
+    """How people learn in scenes, beside macid.learning.config.TrainConfig. Costs are per second."""
 
     radius: float = 0.2  # of a body [m]
     companions: float = 0.5  # share of people who walk in pairs and threes
@@ -168,7 +168,7 @@ def _near(gap):
 
 
 class SceneWorlds:
-    """The worlds of one scene, as many as `config`, a macid.learning.train.TrainConfig, has."""
+    """The worlds of one scene, as many as `config`, a macid.learning.config.TrainConfig, has."""
 
     def __init__(self, which: scenes.Scene, config: Any, rng: np.random.Generator):
         learned = config.scenes
@@ -274,8 +274,8 @@ class SceneWorlds:
 
 
 class SceneTrainer:
-    """Trains policies in scenes, as macid.learning.train.Trainer does on a level: `iterate_seeds` is a pure jitted
-    function of stacked TrainStates. config: a macid.learning.train.TrainConfig. Raises ValueError for several devices.
+    """Trains policies in scenes, as macid.learning.trainer.Trainer does on a level: `iterate_seeds` is a pure jitted
+    function of stacked TrainStates. config: a macid.learning.config.TrainConfig. Raises ValueError for several devices.
     """
 
     def __init__(self, config: Any, devices: Sequence[Any] | None = None):

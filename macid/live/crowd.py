@@ -8,7 +8,7 @@ import numpy as np
 
 from macid import metrics
 from macid.crowd import Crowd, CrowdConfig, snapshot
-from macid.drawing import lcf_colour
+from macid.drawing.colours import lcf_colour
 from macid.evaluate import level_name, level_seed, table_lcf, usual_period
 from macid.layout import NoFreeSpace, load_level, person_count, sample_goals
 from macid.live.page import Page, lcf_reading

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from macid import geometry
-from macid.drawing import GOAL_RGB
+from macid.drawing.colours import GOAL_RGB
 from macid.files import one_line
 from macid.live.shapes import WORLD, Figures, Goal, Model
 from macid.state import MAX_LCF

@@ -13,7 +13,8 @@ import trimesh.visual
 from scipy.spatial.transform import Rotation
 
 from macid import geometry
-from macid.drawing import GOAL, GOAL_RGB, figure
+from macid.drawing.colours import GOAL_RGB
+from macid.drawing.figures import GOAL, figure
 
 WORLD = "/world"
 _GONE = -1000.0  # height at which what is not there is put [m]

@@ -27,8 +27,8 @@ from bson.robot import planar_pose
 from bson.sensors import Imu, Lidar2D, Lidar3D, Sensor
 from bson.simulation.data import MAP_RESOLUTION
 from bson.task import TaskConfig
-from macid import drawing
-from macid.drawing import lcf_colour
+from macid.drawing import gl
+from macid.drawing.colours import lcf_colour
 from macid.files import UsageError
 from macid.state import HEIGHT, RADIUS
 
@@ -286,7 +286,7 @@ def test_points_seen_lie_on_people_walls_and_floor_by_way_of_the_frames(noted, t
 
 
 def test_a_depth_picture_lies_on_surfaces_by_its_camera_info(tmp_path):
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         pytest.skip(problem)
     from bson.sensors import DepthCamera, RgbCamera
 

@@ -6,14 +6,14 @@ import pytest
 from bson import cli
 from bson.benchmark.films import to_film
 from bson.evaluation.suites import suite_names
-from macid import drawing
+from macid.drawing import gl
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=40"]
 
 
 def test_evaluate_writes_results_report_and_videos(tmp_path, capsys):
     out = tmp_path / "deep" / "run"
-    videos = "0" if drawing.gl_problem() else "1"
+    videos = "0" if gl.gl_problem() else "1"
     command = [
         "evaluate",
         "--agent",
@@ -74,7 +74,7 @@ def test_the_same_command_gives_the_same_results(tmp_path):
 
 
 def test_without_gl_the_evaluation_still_runs_and_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(drawing, "gl_problem", lambda: "no EGL here")
+    monkeypatch.setattr(gl, "gl_problem", lambda: "no EGL here")
     command = ["evaluate", "--agent", "stop", "--suite", "smoke", "--episodes", "1", "--out", str(tmp_path)]
     assert cli.main([*command, *QUICK]) == 0
     assert "No video: no EGL here" in capsys.readouterr().err
@@ -136,7 +136,7 @@ def test_list_names_everything(capsys):
 def test_doctor_says_what_is_missing_and_how_to_mend_it(monkeypatch, capsys):
     assert cli.main(["doctor"]) == 0
     assert "mujoco 3." in capsys.readouterr().out
-    monkeypatch.setattr(drawing, "gl_problem", lambda: "no EGL here")
+    monkeypatch.setattr(gl, "gl_problem", lambda: "no EGL here")
     assert cli.main(["doctor"]) == 0
     assert "libegl1" in capsys.readouterr().out
 
@@ -156,7 +156,7 @@ def test_bench_prints_every_case(tmp_path, capsys):
 
 
 def test_render_makes_a_picture(tmp_path):
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         pytest.skip(problem)
     path = tmp_path / "scene.png"
     assert cli.main(["render", "--agent", "goal", "--seed", "1", "--out", str(path), *QUICK]) == 0

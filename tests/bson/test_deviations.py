@@ -7,7 +7,7 @@ import pytest
 
 from bson.task import TaskConfig
 from macid.layout import load_level
-from macid.learning.train import preset
+from macid.learning.config import preset
 from macid.pedestrians.orca import ORCA
 
 ROOT = pathlib.Path(__file__).parents[2]

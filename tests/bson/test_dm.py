@@ -9,7 +9,7 @@ from dm_env import test_utils
 
 import bson.dm
 from bson.episodes.tracks import SENSORS, TRACKS
-from macid.drawing import gl_problem
+from macid.drawing.gl import gl_problem
 
 FEW = {"num_pedestrians": 3, "map_size": 12.0, "goal_distance": (2.0, 8.0), "pedestrian_model": "social-force"}
 

@@ -13,10 +13,10 @@ import macid
 from bson import doctor
 from bson.episodes.tracks import SENSORS
 from bson.sensors import Camera, Lidar2D, RgbCamera
-from macid import drawing
+from macid.drawing import gl
 
 KEYS = {sensor.key: isinstance(sensor, Camera) for sensors in SENSORS.values() for sensor in sensors}
-draws = pytest.mark.skipif(drawing.gl_problem() is not None, reason="needs OpenGL")
+draws = pytest.mark.skipif(gl.gl_problem() is not None, reason="needs OpenGL")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_black_picture_is_told_but_all_else_works(diagnose, monkeypatch):
 
 
 def test_without_pictures_cameras_are_not_tried(diagnose, monkeypatch):
-    monkeypatch.setattr(drawing, "gl_problem", lambda: "no EGL here")
+    monkeypatch.setattr(gl, "gl_problem", lambda: "no EGL here")
     monkeypatch.setattr(doctor, "_read", None)
     well, (line,) = diagnose("cameras")
     assert well and line.split()[:2] == ["without", "cameras"] and "no pictures here" in line

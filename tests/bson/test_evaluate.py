@@ -16,7 +16,8 @@ from bson.evaluation.store import basis, files_digest
 from bson.evaluation.suites import Cell
 from bson.reporting.report import make_report
 from bson.task import TaskConfig
-from macid import assets, drawing
+from macid import assets
+from macid.drawing import gl
 
 TRACK = make_track("local", "lidar2d")
 SMALL = TaskConfig(num_pedestrians=5, map_size=20.0, goal_distance=(6.0, 15.0), horizon=120)
@@ -205,7 +206,7 @@ def test_the_report_shows_the_score_and_needs_no_other_file(episodes):
 
 
 def test_a_suite_of_cells_is_summarised_and_filmed_cell_by_cell(tmp_path, capsys):
-    out, number = tmp_path / "out", 0 if drawing.gl_problem() else 1
+    out, number = tmp_path / "out", 0 if gl.gl_problem() else 1
     command = ["evaluate", "--agent", "goal", "--suite", "scenarios", "--episodes", "1", "--videos", str(number)]
     assert main([*command, "--set", "horizon=5", "--out", str(out)]) == 0
     content = json.loads((out / "results.json").read_text())

@@ -19,7 +19,8 @@ from bson.interfaces.export import export
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from macid.drawing import gl_problem, lcf_colour
+from macid.drawing.colours import lcf_colour
+from macid.drawing.gl import gl_problem
 from macid.geometry import wrap_angle
 
 draws = gl_problem() is None

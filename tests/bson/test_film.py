@@ -9,9 +9,10 @@ import pytest
 from bson import robot
 from bson.episodes import film
 from bson.episodes.record import Episode
-from macid import drawing, scene
+from macid import scene
+from macid.drawing import gl
 
-PROBLEM = drawing.gl_problem()
+PROBLEM = gl.gl_problem()
 needs_gl = pytest.mark.skipif(PROBLEM is not None, reason=str(PROBLEM))
 
 SIZE = 20.0  # of the map [m]

@@ -26,7 +26,7 @@ from bson.simulation.people import BOXES, ROWS, decision, rows_for
 from bson.simulation.scene import build_spec, structure
 from bson.simulation.world import MAX_WORLDS, World
 from bson.task import MAX_PEDESTRIANS, TaskConfig
-from macid.drawing import gl_problem
+from macid.drawing.gl import gl_problem
 from macid.pedestrians import make_controller
 from macid.reward import RewardWeights
 from macid.state import CrowdState, parking_place
@@ -150,7 +150,7 @@ def test_memory_stays_flat_over_resets_with_other_options():
 
 def test_resets_with_other_options_let_go_of_what_they_replace():
     env, rng, made = BsonEnv(**SMALL), np.random.default_rng(1), []
-    read = robot._prepared.cache_info().misses
+    read = robot.model._prepared.cache_info().misses
     for _ in range(60):
         people, density = int(rng.integers(0, 16)), float(rng.uniform())
         env.reset(seed=int(rng.integers(99)), options={"num_pedestrians": people, "obstacle_density": density})
@@ -159,7 +159,7 @@ def test_resets_with_other_options_let_go_of_what_they_replace():
         made.append([weakref.ref(each) for each in (world, world.engine, world.model, world.layouts[0]) if each])
     for alive in itertools.zip_longest(*made):  # without a garbage collection
         assert len({id(ref()) for ref in alive if ref is not None and ref() is not None}) <= KEPT
-    assert robot._prepared.cache_info().misses <= read + 1  # one robot's model is not read again
+    assert robot.model._prepared.cache_info().misses <= read + 1  # one robot's model is not read again
     env.close()
     assert not any(ref() is not None for ref in made[0])
 

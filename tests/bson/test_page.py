@@ -15,9 +15,10 @@ from bson.evaluation.suites import Cell
 from bson.reporting.compare import compare, format_comparison, make_page
 from bson.reporting.heatmap import Scale, Tile, cell_maps
 from bson.reporting.leaderboard import BEGIN, END, fill_readme, leaderboard
-from bson.reporting.page import image, new_figure, video
+from bson.reporting.page import image, video
 from bson.reporting.report import make_report
 from bson.task import TaskConfig
+from macid.pages import new_figure
 
 _CONFIG = TaskConfig(num_pedestrians=3, map_size=20.0, goal_distance=(6.0, 12.0), horizon=20)
 

@@ -8,7 +8,7 @@ from bson.sensors import DepthCamera, Lidar2D, Lidar3D, RgbCamera
 from bson.simulation import pictures, rays
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from macid.drawing import Unavailable
+from macid.drawing.gl import Unavailable
 
 CONFIG = TaskConfig(num_pedestrians=20, obstacle_density=0.4, map_size=24.0, goal_distance=(6.0, 15.0))
 

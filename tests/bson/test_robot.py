@@ -14,7 +14,8 @@ from bson.agents.scripted import goal
 from bson.sensors import DepthCamera, Imu, Lidar2D, Lidar3D
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from macid import assets, drawing, geometry
+from macid import assets, geometry
+from macid.drawing import gl
 
 STEP = 0.02  # [s]
 OTHERS = ("diffbot", "courier")  # a URDF and an MJCF
@@ -369,7 +370,7 @@ def test_a_mount_may_be_turned(tmp_path):
 
 @pytest.mark.parametrize(("name", "height", "up"), [("diffbot", 0.2712, 0.0), ("courier", 0.36, math.radians(10))])
 def test_the_camera_of_another_robot_sees_the_floor_where_geometry_has_it(name, height, up):
-    if problem := drawing.gl_problem():
+    if problem := gl.gl_problem():
         pytest.skip(problem)
     camera = DepthCamera()
     still = alone(robot=name, sensors=(camera,))
@@ -413,7 +414,7 @@ def test_the_goal_agent_arrives_with_another_robot(name):
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_every_environment_takes_another_robot(name):
-    if "Camera" in name and (problem := drawing.gl_problem()):
+    if "Camera" in name and (problem := gl.gl_problem()):
         pytest.skip(problem)
     env = gymnasium.make(name, robot="diffbot", num_pedestrians=0)
     observation, _ = env.reset(seed=0)

@@ -13,7 +13,7 @@ from bson.sensors import Camera, DepthCamera, Imu, Lidar2D, Lidar3D, RgbCamera
 from bson.simulation.renderer import Renderer
 from bson.simulation.world import World
 from bson.task import TaskConfig
-from macid.drawing import gl_problem
+from macid.drawing.gl import gl_problem
 from macid.state import HEIGHT, RADIUS
 
 CROWD = TaskConfig(num_pedestrians=8, map_size=16.0, goal_distance=(4, 12), pedestrian_model="social-force")
@@ -455,7 +455,7 @@ import numpy as np
 from bson.sensors import *
 from bson.task import TaskConfig
 from bson.simulation.world import World
-from macid.drawing import Unavailable
+from macid.drawing.gl import Unavailable
 config = TaskConfig(num_pedestrians=0)
 for camera in (RgbCamera(), DepthCamera()):
     try:

@@ -10,14 +10,14 @@ import sys
 import numpy as np
 import pytest
 
-from macid import drawing
+from macid.drawing import colours, video
 
 
 def test_lcf_colours_run_from_red_over_light_to_blue():
-    adversarial, neutral, cooperative = drawing.lcf_colour(np.array([-2.0, 0.0, 2.0]))
+    adversarial, neutral, cooperative = colours.lcf_colour(np.array([-2.0, 0.0, 2.0]))
     assert adversarial[0] > 2 * adversarial[2] and cooperative[2] > 2 * cooperative[0]
     assert neutral.sum() > max(adversarial.sum(), cooperative.sum())
-    assert np.allclose(drawing.lcf_colour(np.array([-9.0, 9.0])), [adversarial, cooperative])
+    assert np.allclose(colours.lcf_colour(np.array([-9.0, 9.0])), [adversarial, cooperative])
 
 
 @pytest.mark.parametrize(
@@ -30,9 +30,9 @@ def test_lcf_colours_run_from_red_over_light_to_blue():
 )
 def test_without_gl_the_import_works_and_the_message_says_how_to_mend_it(environment, before, says):
     code = (
-        f"{before}\nfrom macid import drawing\nimport sys\nassert 'cv2' not in sys.modules\n"
-        "print(drawing.gl_problem())\n"
-        "try:\n    drawing.gl_context(8, 8)\nexcept drawing.Unavailable: print('raised')"
+        f"{before}\nfrom macid.drawing import gl\nimport sys\nassert 'cv2' not in sys.modules\n"
+        "print(gl.gl_problem())\n"
+        "try:\n    gl.gl_context(8, 8)\nexcept gl.Unavailable: print('raised')"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -71,7 +71,7 @@ def test_a_film_s_name_and_folder_need_not_be_utf_8(tmp_path):
     folder = tmp_path / os.fsdecode(b"caf\xe9\xff")
     folder.mkdir()
     path = folder / os.fsdecode(b"a\xff.webm")
-    assert drawing.write_webm(path, noise(4), 4, 10) == path
+    assert video.write_webm(path, noise(4), 4, 10) == path
     assert frames(path) == 4 and os.listdir(folder) == [path.name]
 
 
@@ -79,9 +79,9 @@ def test_a_cut_film_is_told_and_the_old_one_stays(tmp_path, capfd):
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=600k", "tmpfs", tmp_path], capture_output=True).returncode:
         pytest.skip("may not mount a file system")
     try:
-        drawing.write_webm(tmp_path / "a.webm", noise(2), 2, 10)
+        video.write_webm(tmp_path / "a.webm", noise(2), 2, 10)
         with pytest.raises(OSError, match=r"a.webm': only \d+ of its 40 pictures can be read back"):
-            drawing.write_webm(tmp_path / "a.webm", noise(40), 40, 10)
+            video.write_webm(tmp_path / "a.webm", noise(40), 40, 10)
         assert frames(tmp_path / "a.webm") == 2 and os.listdir(tmp_path) == ["a.webm"]
     finally:
         subprocess.run(["umount", tmp_path], check=True)

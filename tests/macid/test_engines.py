@@ -13,8 +13,10 @@ from macid.engines.native import NativeEngine
 from macid.files import UsageError
 from macid.layout import Layout
 from macid.learning import ppo
-from macid.learning import train as train_module
-from macid.learning.train import TrainConfig, Trainer, train
+from macid.learning import trainer as trainer_module
+from macid.learning.config import TrainConfig
+from macid.learning.train import train
+from macid.learning.trainer import Trainer
 from macid.state import CONTACT_GAP, FAR_AWAY, RADIUS, parking_place
 
 STEPS = 100
@@ -277,7 +279,7 @@ def test_a_crowd_on_warp_comes_to_where_the_native_one_does(model, warp):
 def test_warp_trains_several_seeds_at_once_and_goes_on_where_it_stopped(tmp_path, monkeypatch):
     pytest.importorskip("warp")
     small = Layout(30.0, [[0.0, 0.0, 0.3, 0.3, 0.0]], pedestrians=NUMBER)
-    monkeypatch.setattr(train_module, "load_level", lambda level: small)
+    monkeypatch.setattr(trainer_module, "load_level", lambda level: small)
     config = TrainConfig(
         engine="warp", nworld=2, rollout=4, episode=2, agent_steps=4 * 48, ppo=ppo.PpoConfig(batch=24, epochs=1)
     )

@@ -17,11 +17,11 @@ from macid.files import (
     new_folder,
     output_folder,
     remove_leftovers,
-    run_command,
     whole_folder,
     write_bytes,
     write_json,
 )
+from macid.running import run_command
 
 
 def test_json_comes_back(tmp_path):
@@ -256,7 +256,8 @@ def test_a_folder_made_for_what_fails_goes_again(tmp_path):
 
 
 PRINT = """import sys
-from macid.files import run_command, write_bytes
+from macid.files import write_bytes
+from macid.running import run_command
 def main():
     for line in range(5000):
         print("line", line, "\\udcff")

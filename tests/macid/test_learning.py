@@ -16,8 +16,10 @@ from macid.files import UsageError
 from macid.layout import clearance, load_level
 from macid.learning import curves, methods, ppo
 from macid.learning import train as train_module
+from macid.learning.config import PRESETS, TrainConfig, preset
 from macid.learning.curves import completed, plain
-from macid.learning.train import PRESETS, TrainConfig, Trainer, preset, train
+from macid.learning.train import train
+from macid.learning.trainer import Trainer
 from macid.observation import SIZE
 from macid.policy import FEATURES, load_policy, mlp, to_velocity
 from macid.state import RADIUS
@@ -380,7 +382,8 @@ _ON_TWO_DEVICES = """
 import dataclasses, sys
 import jax, numpy as np
 from macid.learning import ppo
-from macid.learning.train import TrainConfig, Trainer
+from macid.learning.config import TrainConfig
+from macid.learning.trainer import Trainer
 
 config = TrainConfig(engine="mjx", level=1, nworld=2, rollout=3, ppo=ppo.PpoConfig(batch=75, epochs=1))
 assert jax.device_count() == 2

@@ -2,9 +2,9 @@
 
 import pytest
 
+from macid.learning.config import PRESETS, preset
 from macid.learning.curves import completed, plain
 from macid.learning.methods import get_method
-from macid.learning.train import PRESETS, preset
 from macid.policy import load_policy, policy_names
 
 

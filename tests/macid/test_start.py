@@ -12,7 +12,8 @@ import pytest
 
 import macid
 from macid import start
-from macid.learning.train import PRESETS, TrainConfig, train
+from macid.learning.config import PRESETS, TrainConfig
+from macid.learning.train import train
 
 ROOT = pathlib.Path(macid.__file__).parents[1]
 _TICK = os.sysconf("SC_CLK_TCK")

@@ -10,15 +10,16 @@ import sys
 import numpy as np
 import pytest
 
-from macid import drawing, metrics, watch
+from macid import metrics, watch
 from macid.cli import main
 from macid.crowd import CrowdConfig
-from macid.drawing import lcf_colour
+from macid.drawing import gl
+from macid.drawing.colours import lcf_colour
 from macid.evaluate import evaluate_level
 from macid.layout import Layout
 from macid.state import parking_place
 
-PROBLEM = drawing.gl_problem()
+PROBLEM = gl.gl_problem()
 needs_gl = pytest.mark.skipif(PROBLEM is not None, reason=str(PROBLEM))
 
 BOX = [-5.0, 5.0, 1.5, 0.5, 0.3]
@@ -199,7 +200,7 @@ def test_the_command_makes_films_and_pictures(tmp_path, capsys):
     ],
 )
 def test_a_wrong_request_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, wrong, told):
-    monkeypatch.setattr(drawing, "gl_problem", lambda: None)
+    monkeypatch.setattr(gl, "gl_problem", lambda: None)
     (tmp_path / "file").write_text("mine")
     (tmp_path / "b.webm").mkdir()
     wrong = [word.format(file=tmp_path / "file", folder=tmp_path) for word in wrong]
@@ -210,7 +211,7 @@ def test_a_wrong_request_is_one_line_and_exit_code_2(tmp_path, monkeypatch, caps
 
 
 def test_without_gl_the_command_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(drawing, "gl_problem", lambda: "no EGL here")
+    monkeypatch.setattr(gl, "gl_problem", lambda: "no EGL here")
     assert main(["watch", "--pedestrian", "orca", "--out", str(tmp_path / "a.webm")]) == 2
     assert "No pictures here: no EGL here" in capsys.readouterr().err
     with pytest.raises(SystemExit) as stop:

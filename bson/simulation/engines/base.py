@@ -51,7 +51,7 @@ class Engine(Protocol):
         ...
 
     def add_camera(self, name: str) -> int:
-        """Prepares the model's camera `name`; returns its number, for `pictures`. Raises macid.drawing.Unavailable
+        """Prepares the model's camera `name`; returns its number, for `pictures`. Raises macid.drawing.gl.Unavailable
         where nothing can be drawn."""
         ...
 

@@ -104,7 +104,7 @@ class NativeEngine:
 
     @functools.cached_property
     def renderer(self) -> Renderer:
-        """The renderer of cameras' pictures. Raises macid.drawing.Unavailable without OpenGL."""
+        """The renderer of cameras' pictures. Raises macid.drawing.gl.Unavailable without OpenGL."""
         return Renderer(self.model, self.nworld)
 
     def add_camera(self, name: str) -> int:

@@ -1,0 +1,1 @@
+"""The parts of the command `macid`: each adds commands, and runs them."""
