@@ -8,7 +8,7 @@ from bson.task import TaskConfig, spawn
 from macid import assets
 
 DIGESTS = {
-    "dense": "260944d9b382",
+    "dense": "61205a8bec7a",
     "paper": "d29ce0019b09",
     "paper-slow": "0440c9d01af9",
     "scenarios": "7f1177ebb47f",
