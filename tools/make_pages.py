@@ -280,6 +280,15 @@ def gpu_crowds():
     return lines
 
 
+def gpu_seeds():
+    """Lines of Table II's columns for the seeds that were trained on a GPU."""
+    lines = tables.header("model")
+    for name, seeds in shipped("gpu-seeds").items():
+        by_seed = [[levels[str(level)] for level in LEVELS] for levels in seeds.values()]
+        lines.append(tables.line(labelled(name, by_seed), *tables.over_seeds(by_seed)))
+    return lines
+
+
 def gpu_robots():
     """Lines of the table of the robot's worlds on a GPU."""
     named = {
@@ -406,7 +415,7 @@ def results():
 def pieces():
     """{name: lines} of everything that a page may hold between marks."""
     given = {name: (RESULTS / f"{name}.md").read_text().splitlines() for name in GIVEN}
-    parts = {"knob-CP": knob("CP"), "knob-means": knob_means()}
+    parts = {"knob-CP": knob("CP"), "knob-means": knob_means(), "gpu-seeds": gpu_seeds()}
     cards = {f"card-{family}": pedestrian_card(family, members) for family, members in families().items()}
     cards |= {f"card-{name}": agent_card(name) for name in agent_names()}
     return {**given, **results(), **parts, **cards}
