@@ -9,7 +9,8 @@ The unit remembers what left the robot's view, and how what is seen moves. A net
 | MEMORY | the unit's input and recurrent weights (in, 3 units), (units, 3 units); gates: reset, update, new |
 | HEAD | layers with ReLU between, from the unit's state to the action |
 
-The functions take NumPy or JAX arrays; bson.learning.dagger has the torch twin.
+A robot whose input is bson.features has no eye. The functions take NumPy or JAX arrays;
+bson.learning.dagger has the torch twin, bson.learning.pieces trains them by PPO.
 """
 
 from collections.abc import Mapping
@@ -18,9 +19,11 @@ from typing import Any
 import numpy as np
 
 from bson import guided
+from bson.features import FEATURES
 from macid.geometry import Array
 
 EYE, MEMORY, HEAD = "eye_", "memory_", ""  # what the parts' names in a policy's file begin with
+EYES = ("people", "picture", "none")  # what a network may see: bson.guided, depth pictures, or bson.features as it is
 UNITS = 64
 MOTION = 6
 PICTURE = (24, 40)  # rows and columns of a depth picture as the network sees it
@@ -30,17 +33,31 @@ DEPTH_RANGE = 6.0  # closeness in a picture is 1 - depth / DEPTH_RANGE, at least
 _KERNEL, _STRIDE = 3, 2
 
 
-def shapes(pictures: bool) -> dict[str, list[tuple[int, int]]]:
-    """The shapes of the weights of each part, for a network on pictures, or on bson.guided."""
-    eye, inputs = [(guided.OWN + guided.PERSON, guided.HIDDEN), (guided.HIDDEN, 1 + guided.ENCODED)], guided.ATTENDED
-    if pictures:
-        eye, width, (rows, columns) = [], 1, PICTURE
+def shapes(eye: str, outputs: int = 2) -> dict[str, list[tuple[int, int]]]:
+    """The shapes of the weights of each part, for a network with an `eye` of EYES that gives `outputs` numbers."""
+    layers, inputs = [(guided.OWN + guided.PERSON, guided.HIDDEN), (guided.HIDDEN, 1 + guided.ENCODED)], guided.ATTENDED
+    if eye == "picture":
+        layers, width, (rows, columns) = [], 1, PICTURE
         for channels in CHANNELS:
-            eye.append((_KERNEL**2 * width, channels))
+            layers.append((_KERNEL**2 * width, channels))
             rows, columns, width = -(-rows // _STRIDE), -(-columns // _STRIDE), channels
-        eye.append((rows * columns * width, SEEN))
+        layers.append((rows * columns * width, SEEN))
         inputs = MOTION + SEEN
-    return {EYE: eye, MEMORY: [(inputs, 3 * UNITS), (UNITS, 3 * UNITS)], HEAD: [(UNITS, UNITS), (UNITS, 2)]}
+    if eye == "none":
+        layers, inputs = [], FEATURES
+    return {EYE: layers, MEMORY: [(inputs, 3 * UNITS), (UNITS, 3 * UNITS)], HEAD: [(UNITS, UNITS), (UNITS, outputs)]}
+
+
+def size(eye: str) -> int:
+    """The numbers that a robot with this `eye` sees, in one vector: what `parted` takes."""
+    return {"people": guided.SIZE, "picture": MOTION + PICTURE[0] * PICTURE[1], "none": FEATURES}[eye]
+
+
+def parted(eye: str, x: Array) -> tuple[Array, Array | None]:
+    """What `see` takes, of x (N, size(eye)): vectors, and the pictures behind them."""
+    if eye != "picture":
+        return x, None
+    return x[:, :MOTION], x[:, MOTION:].reshape(-1, *PICTURE)
 
 
 def picture(depth: Array) -> Array:
@@ -85,17 +102,26 @@ def _sigmoid(xp, x):
     return 0.5 * (xp.tanh(0.5 * x) + 1.0)
 
 
-def step(network: Mapping[str, Any], vector: Array, pictures: Array | None, state: Array) -> tuple[Array, Array]:
-    """(actions before clipping (N, 2), the state after (N, UNITS)) of a control step. vector: (N, bson.guided.SIZE), or
+def see(network: Mapping[str, Any], vector: Array, pictures: Array | None) -> Array:
+    """What the unit reads (N, inputs). vector: (N, bson.guided.SIZE), or without an eye (N, bson.features.FEATURES), or
     with `pictures` (N, *PICTURE) the motion (N, MOTION), as bson.features.motion gives it."""
-    xp = vector.__array_namespace__()
-    if pictures is None:
-        x = guided.attended(network[EYE], vector)
-    else:
-        x = xp.concatenate([vector, look(network[EYE], pictures)], axis=-1)
-    state = remember(network[MEMORY], x, state)
+    if pictures is not None:
+        return vector.__array_namespace__().concatenate([vector, look(network[EYE], pictures)], axis=-1)
+    return guided.attended(network[EYE], vector) if network[EYE] else vector
+
+
+def decide(network: Mapping[str, Any], state: Array) -> Array:
+    """What the head makes (..., out) of the unit's state (..., UNITS): actions before clipping."""
     x = state
+    xp = x.__array_namespace__()
     for weight, bias in network[HEAD][:-1]:
         x = xp.maximum(x @ weight + bias, 0.0)
     weight, bias = network[HEAD][-1]
-    return x @ weight + bias, state
+    return x @ weight + bias
+
+
+def step(network: Mapping[str, Any], vector: Array, pictures: Array | None, state: Array) -> tuple[Array, Array]:
+    """(actions before clipping (N, 2), the state after (N, UNITS)) of a control step; vector and pictures: see
+    `see`."""
+    state = remember(network[MEMORY], see(network, vector, pictures), state)
+    return decide(network, state), state

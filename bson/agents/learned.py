@@ -34,6 +34,24 @@ _TOP = ("max_speed", "max_yaw_rate")
 _UNITS = {"control_period": " s", "max_speed": " m/s", "max_yaw_rate": " rad/s", "field": " rad", "range_max": " m"}
 
 
+class FeatureSight:
+    """Sees bson.features: call `reset` as an episode begins, then `see`. top: the robot's top speed and yaw rate."""
+
+    def __init__(self, top: Sequence[float]):
+        self._features, self._begun = Features(1, top), False
+
+    def reset(self) -> None:
+        """Begins an episode."""
+        self._begun = False
+
+    def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The features (FEATURES,) of one world's observation."""
+        batched = {name: np.asarray(observation[name])[None] for name in ("goal", "velocity", "lidar")}
+        look = self._features.step if self._begun else self._features.begin
+        self._begun = True
+        return look([0], batched)[0]
+
+
 class Learned:
     """An agent for one world on the Local track with the 2D LIDAR; stateful, since it remembers its last scans.
 
@@ -47,7 +65,7 @@ class Learned:
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, top: Sequence[float] = TOP):
         self.layers, self.output, self.top = layers, output, top
         self._output = _OUTPUTS[output]
-        self._features, self._begun = Features(1, top), False
+        self._sight = FeatureSight(top)
 
     @classmethod
     def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Learned":
@@ -56,14 +74,11 @@ class Learned:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        self._begun = False
+        self._sight.reset()
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
-        batched = {name: np.asarray(observation[name])[None] for name in ("goal", "velocity", "lidar")}
-        look = self._features.step if self._begun else self._features.begin
-        self._begun = True
-        return self.act(look([0], batched))[0]
+        return self.act(self._sight.see(observation)[None])[0]
 
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for features (N, FEATURES)."""
@@ -131,18 +146,19 @@ class CameraSight:
 
 
 class Pupil:
-    """A recurrent agent for one world, which learns by imitation (bson.learning.dagger): what it sees is `bson.guided`
-    by the LIDAR alone.
+    """A recurrent agent for one world, which learns by imitation (bson.learning.dagger) or PPO
+    (bson.learning.recurrent_ppo): what it sees is `bson.guided` by the LIDAR alone.
 
     layers: those of bson.recurrent's parts, EYE, MEMORY and HEAD, one after the other.
     """
 
     sight: Any = ScanSight
     track, sensor = "local", "lidar2d"
+    eye = "people"  #: of its network, one of recurrent.EYES
     pictures = False  #: whether it sees depth pictures, and not scans
 
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
-        self.network, self._output = _parts(layers, self.pictures), _OUTPUTS[output]
+        self.network, self._output = _parts(layers, self.eye), _OUTPUTS[output]
         self._sight = self.sight(setting)
         self.reset(None)
 
@@ -179,15 +195,26 @@ class MapPupil(Pupil):
 class CameraPupil(Pupil):
     """The same with a depth camera in place of the LIDAR and of a map."""
 
-    sight, sensor, pictures = CameraSight, "camera", True
+    sight, sensor, eye, pictures = CameraSight, "camera", "picture", True
 
 
-def _parts(layers, pictures):
-    """`layers` as bson.recurrent takes them: {part: its layers}."""
-    rest, parts = list(layers), {}
-    for name, shapes in recurrent.shapes(pictures).items():
-        parts[name], rest = rest[: len(shapes)], rest[len(shapes) :]
-    return parts
+class ScanPupil(Pupil):
+    """The same on bson.features, without a map of its own and people to be told of: it can learn on a device."""
+
+    eye = "none"
+
+    @staticmethod
+    def sight(setting: Setting) -> FeatureSight:
+        """What sees for a robot in `setting`."""
+        return FeatureSight(tuple(setting.top.tolist()))
+
+
+def _parts(layers: Sequence[tuple[np.ndarray, np.ndarray]], eye: str) -> dict[str, Any]:
+    """`layers` of a recurrent policy as bson.recurrent takes them: {part: its layers}."""
+    rest, found = list(layers), {}
+    for name, shapes in recurrent.shapes(eye).items():
+        found[name], rest = rest[: len(shapes)], rest[len(shapes) :]
+    return found
 
 
 # What a robot sees, as a recipe's "inputs" has it, and the agent that sees it.
@@ -198,6 +225,7 @@ KINDS: dict[str, Any] = {
     "gru": Pupil,
     "gru-map": MapPupil,
     "camera": CameraPupil,
+    "gru-scans": ScanPupil,
 }
 
 
@@ -214,7 +242,7 @@ def _shapes(kind) -> dict[str, list[tuple[int, int]]] | None:
     any layers. The last part, the head of a guided policy, may have any layers too: its shapes here are the first's
     inputs and the last's outputs."""
     if issubclass(kind, Pupil):
-        return recurrent.shapes(kind.pictures)
+        return recurrent.shapes(kind.eye)
     return {ENCODER: _ENCODER} if issubclass(kind, Guided) else None
 
 
@@ -344,7 +372,7 @@ class Factory:
         recipe: dict[str, Any],
         untrained: bool,
     ):
-        self._name, self.untrained, self._layers, self._output = name, untrained, layers, recipe["output"]
+        self._name, self.untrained, self._layers, self.output = name, untrained, layers, recipe["output"]
         self.kind = _kind(recipe)  #: the class of its agents
         self.track, self.sensor = self.kind.track, self.kind.sensor
         self._trained = functools.cache(lambda: _trained(recipe, path))
@@ -356,8 +384,8 @@ class Factory:
         if setting is not None:
             self._check(setting)
         if self.kind is Learned:
-            return Learned(self._layers, self._output, self._top)
-        return self.kind(self._layers, self._output, setting or Setting.default(self.track, self.sensor))
+            return Learned(self._layers, self.output, self._top)
+        return self.kind(self._layers, self.output, setting or Setting.default(self.track, self.sensor))
 
     def _check(self, setting):
         """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy

@@ -27,6 +27,7 @@ def _train(args):
         inputs=args.inputs,
         draw=args.draw,
         teacher=args.teacher,
+        start=args.start,
         resume=args.resume,
         tensorboard=args.tensorboard,
         executor=args.executor,
@@ -42,28 +43,31 @@ def _train(args):
 def _train_warp(args):
     if args.demonstrations is not None:
         raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
-    if args.inputs != "scans" or args.draw is not None or args.teacher is not None:
-        raise UsageError("--engine warp learns on scans in one setting: leave --inputs, --draw and --teacher out.")
+    if args.teacher is not None:
+        raise UsageError("--teacher is whom bc imitates, and --engine warp has no bc: leave it out.")
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
-    if args.seeds != 1 or args.tensorboard or args.executor != "local":
-        raise UsageError(
-            "--engine warp trains one seed in this process: leave --seeds, --tensorboard and --executor out."
-        )
+    if args.seeds != 1 or args.executor != "local":
+        raise UsageError("--engine warp trains one seed in this process: leave --seeds and --executor out.")
     from tqdm import tqdm
 
-    from bson.learning.device_ppo import DeviceTrainConfig, train
+    from bson.learning.device_ppo import STARTED, DeviceTrainConfig, train
 
-    worlds = {} if args.worlds is None else {"num_envs": args.worlds}
-    config = DeviceTrainConfig(args.seed, int(args.steps), overrides(args), algo=args.algo, **worlds)
+    more = {} if args.worlds is None else {"num_envs": args.worlds}
+    more |= {} if args.start is None else {"hyperparameters": STARTED}
+    more |= {"algo": args.algo, "inputs": args.inputs, "draw": args.draw, "start": args.start}
+    config = DeviceTrainConfig(args.seed, int(args.steps), overrides(args), **more)
     start.cleaning_up()
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc=config.name, file=sys.stderr, delay=0.5) as bar:
 
-        def show(steps, figures):
+        def show(steps, figures, validation=False):
             bar.n = min(steps, config.steps)
-            bar.set_postfix_str("  ".join(f"{name} {value:.3g}" for name, value in figures.items()))
+            text = "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            if validation:
+                bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
+            bar.set_postfix_str(text)
 
-        folder = train(config, args.out, args.resume, show)
+        folder = train(config, args.out, args.resume, show, tensorboard=args.tensorboard)
     policy = folder / "policy.npz"
     print(f"Written: {policy}, {folder / 'policy.json'}. Score it: bson evaluate --agent {policy}")
     return 0
@@ -102,13 +106,24 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         "--inputs",
         type=name,
         default="scans",
-        help="what the robot sees: scans; guided: a planner's way and people, on the map; with bc gru, gru-map, camera",
+        help="what the robot sees: scans; guided: a planner's way and people, on the map; with a memory (bc, ppo): gru "
+        "(a map of its own, people by the LIDAR), gru-map, camera, gru-scans; with --engine warp: scans, gru-scans",
     )
     train.add_argument(
-        "--draw", type=name, default=None, help="draw episodes' settings: standard, or a .toml file; not with scans"
+        "--draw",
+        type=name,
+        default=None,
+        help="draw episodes' settings: standard, or a .toml file; not with scans; with --engine warp: crowds",
     )
     train.add_argument(
-        "--teacher", type=name, default=None, metavar="AGENT", help="of bc with gru, gru-map or camera (default: tac)"
+        "--teacher",
+        type=name,
+        default=None,
+        metavar="AGENT",
+        help="of bc with a memory: whom it imitates (default: tac)",
+    )
+    train.add_argument(
+        "--start", type=name, default=None, metavar="POLICY", help="of ppo with a memory: begin from it, as gru"
     )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)

@@ -39,25 +39,42 @@ class DeviceWorlds:
     `step` is pure, for jax.jit and jax.lax.scan: step(carry, actions, episodes) -> (Carry, Outcome). Before up to
     `steps` steps, call `ready(steps)`, which gives the `episodes`; after them call `done(carry)`. ahead: the most steps
     that are asked for at once. pool: how many episodes are kept ready; None: enough for `ahead` steps. workers:
-    processes that draw episodes; None: as many as there are cores to spare, for many worlds.
+    processes that draw episodes; None: as many as there are cores to spare, for many worlds. settings: of episodes,
+    see bson.simulation.pool; shortest: the least distance of a start from its goal in them [m], None: the task's.
     """
 
-    def __init__(self, env: Any, seed: int = 0, pool: int | None = None, workers: int | None = None, ahead: int = 2):
+    def __init__(
+        self,
+        env: Any,
+        seed: int = 0,
+        pool: int | None = None,
+        workers: int | None = None,
+        ahead: int = 2,
+        settings: Any = None,
+        shortest: float | None = None,
+    ):
         self.env, self.num_envs = env, env.num_envs
         if workers is None:
             workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
         self._counted, config = 0, env.config
         reach = _FASTER * config.robot.max_speed * config.control_period
-        self._least = max(1, min(config.horizon, int((config.goal_distance[0] - GOAL_RADIUS) / reach)))
+        shortest = config.goal_distance[0] if shortest is None else shortest
+        self._least = max(1, min(config.horizon, int((shortest - GOAL_RADIUS) / reach)))
         size = max(128, env.num_envs + self.most_begun(ahead) + 128) if pool is None else pool
-        self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers)
+        self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers, settings)
         self._begin = jax.jit(self._first)
 
     def restart(self, seed: int) -> None:
         """Starts the pool's episodes anew at `seed`; call `begin` after it."""
         pool = self.pool
         pool.close()
-        self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers)
+        self.pool = Pool(pool.config, pool.size, seed, self.env.has_map, pool.workers, pool.settings)
+
+    def resume(self, carry: Any, seed: int) -> Any:
+        """`carry`, of worlds that were put away, as one whose next episode is the pool's first, `seed`."""
+        self.restart(seed)
+        self._counted = int(carry.begun)
+        return carry._replace(slot=jnp.zeros((), jnp.int32))
 
     def most_begun(self, steps: int) -> int:
         """How many episodes may begin in `steps` steps at most."""

@@ -1,24 +1,22 @@
 """Checkpoints of a robot's training, all of it but its worlds, as arrays and JSON. stable-baselines3's own save uses
 pickles, which can run code when they are read."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 import torch
 
+from bson.learning.keeper import Count, Keeper, collect_keeper, restore_keeper, wanted_keeper
 from macid.learning.curves import check_arrays
-from macid.policy import check_layers
 
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's state for each parameter
-_LAYER = ("weight", "bias")
 _VARIABLES = ("log_ent_coef", "ent_coef_tensor")  # SAC's tensors beside its networks
-_Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 
 
 class _Replay(msgspec.Struct):
-    pos: _Count
+    pos: Count
     full: bool
 
 
@@ -30,27 +28,12 @@ class _Numpy(msgspec.Struct):
     gauss: float
 
 
-class _Best(msgspec.Struct):
-    output: Literal["clip", "tanh"]
-    steps: _Count
-    validation: dict[str, float]
-
-
-class Keeper(msgspec.Struct):
-    """What a training's keeper notes."""
-
-    curve: list[dict[str, float]]
-    validations: list[dict[str, float]]
-    best: _Best | None
-    spent: Annotated[float, msgspec.Meta(ge=0)]
-
-
 class Noted(msgspec.Struct):
     """A checkpoint's values beside its arrays."""
 
-    steps: _Count
-    updates: _Count
-    episodes: _Count
+    steps: Count
+    updates: Count
+    episodes: Count
     rates: dict[str, list[float]]  #: learning rates of each optimiser
     stepped: list[str]  #: optimisers that have moments already
     replay: _Replay | None
@@ -90,40 +73,6 @@ def collect(model: Any, keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], 
         "numpy": {"pos": int(pos), "has_gauss": int(has_gauss), "gauss": float(gauss)},
         "keeper": noted_keeper,
     }
-
-
-def collect_keeper(keeper: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """({name: array}, the rest) of a keeper's state."""
-    found, best = {}, keeper["best"]
-    if best:
-        for index, (weight, bias) in enumerate(best["layers"]):
-            found |= {f"best/weight{index}": weight, f"best/bias{index}": bias}
-    return found, keeper | {"best": best and {name: best[name] for name in ("output", "steps", "validation")}}
-
-
-def wanted_keeper(noted: dict[str, Any], layers: Any) -> dict[str, np.ndarray]:
-    """The arrays, as far as names and shapes go, that `collect_keeper` gave beside `noted`; layers: an example of the
-    policy's. Raises ValueError."""
-    if not noted["best"]:
-        return {}
-    if "SNS" not in noted["best"]["validation"]:
-        raise ValueError("its best policy has no SNS")
-    return {
-        f"best/{name}{index}": one
-        for index, layer in enumerate(layers)
-        for name, one in zip(_LAYER, layer, strict=True)
-    }
-
-
-def restore_keeper(found: dict[str, np.ndarray], noted: dict[str, Any], number: int) -> dict[str, Any]:
-    """The keeper's state, from arrays whose names and shapes were checked. number: of layers. Raises ValueError."""
-    best = noted["best"]
-    if best:
-        layers = [(found[f"best/weight{index}"], found[f"best/bias{index}"]) for index in range(number)]
-        for layer in layers:  # whose shapes are the example's
-            check_layers([layer])
-        best = {"layers": layers, **best}
-    return noted | {"best": best}
 
 
 def restore(model: Any, found: dict[str, np.ndarray], noted: dict[str, Any], layers: Any) -> dict[str, Any]:

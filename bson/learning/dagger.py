@@ -24,8 +24,8 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
 from bson.learning.algorithms import linear_layers
 from bson.learning.attention import PeopleAttention
-from bson.learning.checkpoint import Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.learning.draw import Draw, training_seed
+from bson.learning.keeper import Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.recurrent import CHANNELS, EYE, HEAD, MEMORY, PICTURE, SEEN, UNITS
 from bson.task import TaskConfig
 from macid.layout import NoFreeSpace
@@ -58,18 +58,18 @@ class Episodes:
 class Network(torch.nn.Module):
     """The torch twin of bson.recurrent."""
 
-    def __init__(self, picture: bool):
+    def __init__(self, eye: str):
         super().__init__()
-        self.picture = picture
-        self.eye: Any = torch.nn.Module()
-        if picture:
+        self.picture = eye == "picture"
+        self.eye: Any = torch.nn.Module() if self.picture else torch.nn.Identity()
+        if self.picture:
             first, second = CHANNELS
             self.eye.first = torch.nn.Conv2d(1, first, 3, 2, 1)
             self.eye.second = torch.nn.Conv2d(first, second, 3, 2, 1)
             self.eye.third = torch.nn.Linear(second * (PICTURE[0] // 4) * (PICTURE[1] // 4), SEEN)
-        else:
+        elif eye == "people":
             self.eye = PeopleAttention(gymnasium.spaces.Box(-10.0, 10.0, (guided.SIZE,), np.float32))
-        self.memory = torch.nn.GRU(recurrent.MOTION + SEEN if picture else guided.ATTENDED, UNITS)
+        self.memory = torch.nn.GRU(recurrent.shapes(eye)[MEMORY][0][0], UNITS)
         self.head = torch.nn.Sequential(torch.nn.Linear(UNITS, UNITS), torch.nn.ReLU(), torch.nn.Linear(UNITS, 2))
 
     def forward(self, vector: torch.Tensor, pictures: torch.Tensor | None, state: Any = None) -> Any:
@@ -287,7 +287,7 @@ class Imitation:
         self._teacher, self._pupil, self._task, self._draw, self._config = teacher, pupil, task, draw, config
         self._each = max(1, steps // config.rounds)
         self._rng, self.episodes = np.random.default_rng((0xDA66E5, seed)), Episodes()
-        self.network, self.rounds = Network(pupil.pictures), 0
+        self.network, self.rounds = Network(pupil.eye), 0
 
     @property
     def steps(self) -> int:
@@ -332,7 +332,7 @@ class Imitation:
         if lengths.ndim != 1 or lengths.dtype != int or (lengths < 1).any() or lengths.sum() > 10**9:
             raise ValueError("the lengths of its episodes are none")
         rows = int(lengths.sum())
-        sizes = (recurrent.MOTION, *PICTURE) if self._pupil.pictures else (guided.SIZE, 0)
+        sizes = (recurrent.MOTION, *PICTURE) if self._pupil.pictures else (recurrent.size(self._pupil.eye), 0)
         pictures = np.zeros((rows, *sizes[1:]) if self._pupil.pictures else 0, np.float16)
         wanted = {
             "episodes/vector": np.zeros((rows, sizes[0]), np.float32),

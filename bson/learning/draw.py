@@ -7,6 +7,7 @@ A draw has kinds, each with its share and a table of TaskConfig's fields. A fiel
 
 import dataclasses
 import pathlib
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import msgspec
@@ -60,10 +61,66 @@ class Draw:
 
     def _of_kind(self, kind, rng, base):
         fields = {name: _drawn(rng, value) for name, value in self.kinds[kind][1].items()}
-        config = base.replace(**fields)
+        return self.fitted(base.replace(**fields))
+
+    def fitted(self, config: TaskConfig) -> TaskConfig:
+        """`config` with as many people as a world may have."""
         if self.sizes is None:
             return config
         return config.replace(num_pedestrians=min(self.sizes, key=lambda size: abs(size - config.people)))
+
+
+# Fields that may differ between episodes of worlds on a device, and how worlds are made that serve all.
+ON_A_DEVICE = ("lcf", "goal_distance", "obstacle_density", "num_pedestrians", "pedestrian_density")
+_ALIKE = ("person_radius", "preferred_speed", "person_max_speed", "companions", "lcf_each")
+
+
+@dataclasses.dataclass(frozen=True)
+class EachEpisode:
+    """The `settings` of a pool of episodes (bson.simulation.pool): each episode has a setting of its own, drawn from
+    its seed. base: the setting that the draw changes."""
+
+    draw: Draw
+    base: TaskConfig
+
+    def __call__(self, seed: int) -> Iterator[TaskConfig]:
+        """The episode's setting, and others in case that there is no room for it."""
+        rng = np.random.default_rng((0xD4A35E77, seed))
+        while True:
+            yield self.draw.setting(rng, self.base)
+
+    @property
+    def shortest(self) -> float:
+        """The least distance of a start from its goal [m]."""
+        kinds = [config.get("goal_distance", self.base.goal_distance) for _, config in self.draw.kinds]
+        every = [
+            one for kind in kinds for one in (kind.get("among") or [kind["from"]] if isinstance(kind, dict) else [kind])
+        ]
+        return float(min(np.min(one) for one in every))
+
+    @property
+    def largest(self) -> TaskConfig:
+        """The setting of worlds that have room for all. Raises UsageError where there is none."""
+        called = f"--draw {self.draw.name}: with --engine warp"
+        for number, (_, config) in enumerate(self.draw.kinds):
+            if odd := sorted(set(config) - {*ON_A_DEVICE}):
+                told = ", ".join(ON_A_DEVICE)
+                raise UsageError(f"{called} episodes may differ in {told}, not in {odd[0]} (kinds[{number}]).")
+        if odd := [name for name in _ALIKE if getattr(self.base, name) != getattr(TaskConfig, name)]:
+            raise UsageError(f"{called} all people are the paper's: leave {odd[0]} out.")
+        kinds = []
+        for _, config in self.draw.kinds:
+            fields = {name: _most(value) for name, value in config.items() if name not in ("lcf", "goal_distance")}
+            kinds.append(self.draw.fitted(self.base.replace(**fields)))
+        walls = max(kind.obstacle_density for kind in kinds)
+        return self.base.replace(num_pedestrians=max(kind.people for kind in kinds), obstacle_density=walls)
+
+
+def _most(value):
+    """The greatest value of a field that is drawn so."""
+    if isinstance(value, dict):
+        return value["to"] if "to" in value else max(value["among"])
+    return value
 
 
 def training_seed(rng: np.random.Generator) -> int:

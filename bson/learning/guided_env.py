@@ -1,16 +1,20 @@
-"""The worlds in which guided robots learn (bson.guided): groups of native worlds, each in a drawn setting, for
-stable-baselines3."""
+"""The worlds in which guided and recurrent robots learn (bson.guided): groups of native worlds, each in a drawn
+setting, for stable-baselines3 and bson.learning.recurrent_ppo."""
 
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from bson import guided
+from bson import recurrent
+from bson.agents.contract import Setting
 from bson.agents.guide import MARGIN, Guide
+from bson.agents.learned import Pupil
+from bson.agents.ways import Ways
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
 from bson.interfaces.gym import ACTION_SPACE
+from bson.learning.dagger import common_track
 from bson.learning.draw import Draw, training_seed
 from bson.learning.vec_env import Worlds, summary
 from bson.planners import Grid
@@ -27,25 +31,42 @@ class GuidedVecEnv(Worlds):
     """`num_envs` worlds, in groups of GROUP. A group's worlds share a setting, drawn anew every ROUND control steps:
     episodes that go on then are cut off. Observations (num_envs, bson.guided.SIZE) are what a guided robot with the map
     sees; in some episodes it is told of people as a robot without knowledge would be, only of those in the LIDAR's
-    sight.
+    sight. With a `pupil`, an agent's class, they are what it sees, (num_envs, bson.recurrent.size(pupil.eye)).
 
     The reward is the task's, but that a metre of the way counts, not one of the straight line. An ended episode's info
-    has `episode`, as FeatureVecEnv's.
+    has `episode`, as FeatureVecEnv's. After `seed`, a reset begins the environment anew, as if made with that seed.
     """
 
-    def __init__(self, num_envs: int, seed: int, draw: Draw | None, base: TaskConfig, nthread: int = 0):
+    def __init__(
+        self,
+        num_envs: int,
+        seed: int,
+        draw: Draw | None,
+        base: TaskConfig,
+        nthread: int = 0,
+        pupil: type[Pupil] | None = None,
+    ):
         sizes = [min(GROUP, num_envs - first) for first in range(0, num_envs, GROUP)]
-        track = make_track("local", "lidar2d")
+        track = common_track(pupil, pupil) if pupil else make_track("local", "lidar2d")
         self._groups = [
-            _Group(number, size, np.random.default_rng((seed, number)), draw, base, track, nthread)
+            _Group(number, size, np.random.default_rng((seed, number)), draw, base, track, nthread, pupil)
             for number, size in enumerate(sizes)
         ]
         self.render_mode = None
-        space = gymnasium.spaces.Box(-10.0, 10.0, (guided.SIZE,), np.float32)
+        space = gymnasium.spaces.Box(-10.0, 10.0, (recurrent.size(pupil.eye if pupil else "people"),), np.float32)
         super().__init__(num_envs, space, ACTION_SPACE)
+
+    def seed(self, seed: int | None = None) -> Any:
+        """The seed of the next reset."""
+        self._seeds = [seed] * self.num_envs
+        return self._seeds
 
     def reset(self) -> np.ndarray:
         """Begins an episode in every world."""
+        if (seed := self._seeds[0]) is not None:
+            for number, group in enumerate(self._groups):
+                group.reseed(np.random.default_rng((seed, number)))
+            self._reset_seeds()
         return np.concatenate([group.begin_round() for group in self._groups])
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -67,15 +88,21 @@ class GuidedVecEnv(Worlds):
 class _Group:
     """The worlds of one setting."""
 
-    def __init__(self, number, size, rng, draw, base, track: LocalTrack, nthread):
-        self.size, self._rng, self._draw, self._base, self._track = size, rng, draw, base, track
-        self._nthread = nthread
+    def __init__(self, number, size, rng, draw, base, track: LocalTrack, nthread, pupil=None):
+        self.size, self._draw, self._base, self._track = size, draw, base, track
+        self._nthread, self._pupil, self._number = nthread, pupil, number
         self._session: Any = None  # made by the first round
         self._all = np.arange(size)
-        self._steps = number * ROUND // 4  # groups don't all change at once
+        self.reseed(rng)
         self._guides: list[Any] = [None] * size
+        self._sights: list[Any] = [None] * size  # of pupils
         self._returns, self._length = np.zeros(size), np.zeros(size)
         self._blind = np.zeros(size, bool)
+
+    def reseed(self, rng):
+        """Begins the group anew, but for `begin_round`."""
+        self._rng = rng
+        self._steps = self._number * ROUND // 4  # groups don't all change at once
 
     def begin_round(self):
         """Draws a setting and begins its episodes; returns their observations (size, guided.SIZE)."""
@@ -99,19 +126,26 @@ class _Group:
         for index in ids:
             occupied = world.occupancy(index)
             grid = Grid(occupied, config.map_size / len(occupied), np.full(2, -config.map_size / 2))
-            self._guides[index] = Guide(config, grid.inflated(clearance), world.goal[index])
+            guide = _Way if self._pupil else Guide
+            self._guides[index] = guide(config, grid.inflated(clearance), world.goal[index])
+            if self._pupil:
+                self._sights[index] = self._pupil.sight(Setting.of(config, self._track))
         self._blind[ids] = self._rng.random(len(ids)) < _HALF_BLIND
         self._returns[ids] = 0.0
         return self._look(ids, observation)
 
     def _look(self, ids, observation):
-        world, x = self._session.world, np.empty((len(ids), guided.SIZE), np.float32)
+        world, rows = self._session.world, []
         for row, index in enumerate(ids):
             one = {name: value[row] for name, value in observation.items()}
             people = world.people[index, :, :2]
-            x[row] = self._guides[index].see(one, world.pose[index], people, in_sight=bool(self._blind[index]))
+            seen = self._guides[index].see(one, world.pose[index], people, in_sight=bool(self._blind[index]))
             self._length[index] = self._guides[index].length
-        return x
+            if self._pupil:
+                vector, picture = self._pupil.look(self._sights[index], one)
+                seen = vector if picture is None else np.append(vector, picture.ravel())
+            rows.append(seen)
+        return np.array(rows, np.float32)
 
     def step(self, action):
         session, world = self._session, self._session.world
@@ -140,3 +174,14 @@ class _Group:
     def close(self):
         if self._session is not None:
             self._session.close()
+
+
+class _Way:
+    """A Guide that knows the way's length alone."""
+
+    def __init__(self, task, grid, goal):
+        self._ways, self.length = Ways(grid, goal), 0.0
+
+    def see(self, observation, pose, people, in_sight=False):
+        """Nothing; the length is noted."""
+        self.length = self._ways.ahead(pose[:2])[2]

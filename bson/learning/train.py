@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 import pathlib
 import sys
 import time
@@ -18,16 +17,16 @@ from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited
 from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
-from bson.evaluation.metrics import measure
-from bson.evaluation.play import run_episodes, sound, versions
-from bson.evaluation.suites import load_suite
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.dagger import DaggerConfig, Imitation, Noted
 from bson.learning.dataset import demonstrations
-from bson.learning.draw import load_draw, validation_seeds
+from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
+from bson.learning.keeper import SCORES, BestKeeper, noted_config, started
+from bson.learning.recurrent_ppo import Noted as NotedPpo
+from bson.learning.recurrent_ppo import RecurrentPpo, RecurrentPpoConfig
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from macid import start
@@ -40,19 +39,18 @@ from macid.learning.curves import (
     Board,
     check_tensorboard,
     damaged,
-    plain,
     read_checkpoint,
-    thin,
     training_folder,
     write_checkpoint,
-    write_curve,
 )
 from macid.learning.jobs import Group, folder_of, train_groups
 from macid.policy import MOST_RECIPE_BYTES
 from macid.registry import Kind
 
 ALGORITHMS: dict[str, Any] = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
-RECURRENT = DaggerConfig()  # BC's configuration for robots with a recurrent network
+# Configurations for robots with a recurrent network; STARTED is PPO's from another policy.
+RECURRENT: dict[str, Any] = {"bc": DaggerConfig(), "ppo": RecurrentPpoConfig()}
+STARTED = RecurrentPpoConfig(learning_rate=1e-4, final_learning_rate=1e-5, log_std=-1.5, warmup=16)
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
@@ -85,26 +83,26 @@ INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
 PUPILS = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]  # those with a recurrent network
 
 
-def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans") -> Any:
+def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans", start: str | None = None) -> Any:
     """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset,
-    and bc in the preset "fast" has RECURRENT for the `inputs` PUPILS. Raises UsageError, naming the valid choices."""
+    and bc and ppo in the preset "fast" have RECURRENT for the `inputs` PUPILS, ppo from a policy `start` has STARTED.
+    Raises UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
     usual = KIND.load(algo)
-    if algo == "bc" and preset == "fast" and inputs in PUPILS:
-        return RECURRENT
+    if algo in RECURRENT and preset == "fast" and inputs in PUPILS:
+        return STARTED if algo == "ppo" and start is not None else RECURRENT[algo]
     return PRESETS[preset].get(algo, usual)
 
 
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
-_VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
+_REMEMBERING = DaggerConfig | RecurrentPpoConfig
 _RECENT = 100  # number of ended episodes in the curve's means
-_SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """How a robot is trained: on BSON/LocalLidar2D-v0 by its scans, or, `guided`, with the map and people's places."""
+    """How a robot is trained: on BSON/LocalLidar2D-v0 by its scans, with other inputs, or from another policy."""
 
     algo: str = "ppo"
     seed: int = 0
@@ -114,11 +112,12 @@ class TrainConfig:
     validate_every: int = 100_000  # steps; the policy that scores best is kept
     validate_episodes: int = 64
     hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
-    inputs: str = "scans"  # what the robot sees: "scans" (bson.features) or "guided" (bson.guided)
+    inputs: str = "scans"  # what the robot sees, of bson.agents.learned.KINDS
     draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
+    start: str | None = None  # of ppo with a recurrent robot: the policy from which it goes on
 
     def __post_init__(self):
-        usual = hyperparameters(self.algo, inputs=self.inputs)
+        usual = hyperparameters(self.algo, inputs=self.inputs, start=self.start)
         for name in ("steps", "num_envs", "validate_every", "validate_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
@@ -132,12 +131,18 @@ class TrainConfig:
             if self.inputs == "scans":
                 others = ", ".join(name for name in INPUTS if name != "scans")
                 raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
-        fits = {"bc": ["scans", *PUPILS]}.get(self.algo, [name for name in INPUTS if name not in PUPILS])
+        others = [name for name in INPUTS if name not in PUPILS]
+        fits = {"bc": ["scans", *PUPILS], "ppo": list(INPUTS)}.get(self.algo, others)
         if self.inputs not in fits:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
+        remembers = self.inputs in PUPILS
+        if self.start is not None and not (remembers and self.algo == "ppo"):
+            told = ", ".join(PUPILS)
+            raise UsageError(f"--start is for ppo with --inputs of {told}, not {self.algo} on {self.inputs}.")
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", usual)
-        if (self.inputs in PUPILS) != isinstance(self.hyperparameters, DaggerConfig):
+        fit = type(usual) if remembers else object
+        if not isinstance(self.hyperparameters, fit) or isinstance(self.hyperparameters, _REMEMBERING) != remembers:
             raise UsageError(f"--inputs {self.inputs} learns with no {type(self.hyperparameters).__name__}.")
 
     @property
@@ -158,104 +163,8 @@ class TrainConfig:
         parts = [called or self.algo, *(["paper"] if self.hyperparameters == paper else [])]
         parts += [self.inputs] if self.inputs != "scans" else []
         parts += [pathlib.Path(self.draw).stem] if self.draw else []
+        parts += [f"from-{pathlib.Path(self.start).stem}"] if self.start else []
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
-
-
-class _Keeper:
-    """Writes a training's policy.npz and policy.json, of the policy that did best on the validation episodes, and
-    curve.csv.
-
-    board: the curves.Board that gets the curve and the validations too, once there is one."""
-
-    def __init__(self, config, folder):
-        self.config, self.folder, self.board = config, folder, None
-        self.curve, self.validations, self.spent = [], [], 0.0
-        self.best: dict | None = None  # the policy that scored best: layers, output, steps, validation
-        self._begin = time.monotonic()
-
-    @property
-    def state(self):
-        """The keeper's part of a checkpoint."""
-        return {"curve": self.curve, "validations": self.validations, "best": self.best, "spent": self.seconds}
-
-    def restore(self, state):
-        """Goes on from a `state`."""
-        self.curve, self.validations, self.best = state["curve"], state["validations"], state["best"]
-        self.spent, self._begin = state["spent"], time.monotonic()
-
-    @property
-    def seconds(self):
-        """Time spent so far, in all sittings."""
-        return self.spent + time.monotonic() - self._begin
-
-    def validate(self, layers, output, steps, interrupted=lambda: False):
-        """Scores a policy on the validation episodes, and keeps it if it is the best so far; returns its scores. Raises
-        KeyboardInterrupt once interrupted() is true."""
-
-        def progress(steps, episode):
-            if interrupted():
-                raise KeyboardInterrupt
-
-        config, kind, measured = self.config, INPUTS[self.config.inputs], []
-        track = make_track(kind.track, kind.sensor)
-        agent = functools.partial(kind.of_layers, layers, output)
-        for setting, seeds in _validation(config):
-            episodes = sound(run_episodes(agent, setting, track, seeds, config.name, progress))
-            measured += [measure(episode) for episode in episodes]
-        scores = {name: round(float(np.mean([row[name] for row in measured])), 4) for name in _SCORES}
-        self.validations.append({"steps": steps, **scores})
-        if self.board:
-            self.board.write({"steps": steps, **{f"validation/{name}": score for name, score in scores.items()}})
-        if self.best is None or scores["SNS"] > self.best["validation"]["SNS"]:
-            self.best = {"layers": layers, "output": output, "steps": steps, "validation": scores}
-        return scores
-
-    def log(self, row, more=None):
-        """Adds `row`, {name: number}, to the curve. more: further numbers, {name: number}, for the board only."""
-        self.curve.append(row)
-        write_curve(self.folder / "curve.csv", self.curve)
-        if self.board:
-            self.board.write(row | (more or {}))
-
-    def write(self, steps):
-        """Writes the best policy so far, with its recipe."""
-        best = self.best
-        assert best is not None  # set by the first validation
-        kind = INPUTS[self.config.inputs]
-        recipe = {
-            "name": self.config.name,
-            **_noted(self.config),
-            "steps_done": steps,
-            "seconds": round(self.seconds, 1),
-            "output": best["output"],
-            "setting": learned.setting_document(
-                Setting.of(self.config.setting, make_track("local", kind.sensor)), getattr(kind, "pictures", False)
-            ),
-            "from_steps": best["steps"],
-            "validation": best["validation"],
-            "validations": self.validations,
-            "curve": [{name: round(value, 4) for name, value in row.items()} for row in thin(self.curve, 60)],
-            "versions": versions(),
-        }
-        learned.write(self.folder / "policy", best["layers"], recipe)
-
-
-def _noted(config):
-    """A TrainConfig as a recipe has it, without what came later and is as it always was."""
-    noted = plain(config)
-    for name in ("inputs", "draw"):
-        if noted[name] == getattr(TrainConfig, name):
-            del noted[name]
-    return noted
-
-
-def _validation(config):
-    """[(setting, seeds), ...] of the episodes by which the policy of a training is chosen."""
-    if config.draw is None:
-        return [(config.setting, load_suite("paper").drawn(config.validate_episodes, _VALIDATION_SEED))]
-    settings = load_draw(config.draw).validation
-    each = -(-config.validate_episodes // len(settings))
-    return [(setting.replace(**config.task), validation_seeds(each)) for setting in settings]
 
 
 class _Progress(BaseCallback):
@@ -281,7 +190,7 @@ class _Progress(BaseCallback):
             raise KeyboardInterrupt
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
-            means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *_SCORES)}
+            means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *SCORES)}
             losses = {k: v for k, v in self.logger.name_to_value.items() if isinstance(v, int | float | np.number)}
             keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means}, losses)
             self._show(steps, means)
@@ -309,7 +218,7 @@ def _save_checkpoint(model, keeper):
 
 
 def _validate(model, keeper, interrupted):
-    """Scores of the model's present policy, see `_Keeper.validate`. Ctrl-C leaves a checkpoint; a resumed training
+    """Scores of the model's present policy, see `BestKeeper.validate`. Ctrl-C leaves a checkpoint; a resumed training
     begins with this validation."""
     try:
         return keeper.validate(*_export(keeper.config, model), model.num_timesteps, interrupted)
@@ -351,7 +260,7 @@ def is_done(config: TrainConfig, folder: pathlib.Path) -> bool:
     if not (folder / "policy.npz").exists() or not path.exists():
         return False
     try:
-        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), _noted(config)
+        recipe, wanted = read_document(path, dict, "recipe", MOST_RECIPE_BYTES), noted_config(config)
         done = recipe.get("steps_done")
         if isinstance(done, bool) or not isinstance(done, int | float):
             raise UsageError(f"The recipe '{path}' has no number \"steps_done\".")
@@ -376,17 +285,19 @@ def train(
     macid.learning.curves.Board). show: called now and then with the steps done and figures {name: value}, of recent
     episodes or of a validation. resume: goes on from the checkpoint, if there is one. Everything is restored but the
     worlds, which begin new episodes, and the running means of the curve. Ctrl-C leaves a checkpoint, once there is
-    something to keep. BC has no checkpoints: it begins anew, unless it was done. Raises UsageError if the folder has a
-    training of another configuration, if it has one of this configuration and `resume` is not set, or if another
-    process trains there.
+    something to keep. BC has no checkpoints: it begins anew, unless it was done. Recurrent robots have a checkpoint
+    after each round of imitation, or each leg of PPO, and go on from there as if never interrupted. Raises UsageError
+    if the folder has a training of another configuration, if it has one of this configuration and `resume` is not set,
+    or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
     if config.algo == "bc" and not is_done(config, path):
-        _expert(config) if config.inputs == "scans" else _teacher(
-            config
-        )  # refuses a wrong expert before anything is written
+        # Refuses a wrong expert before anything is written.
+        _expert(config) if config.inputs == "scans" else _teacher(config)
+    if config.start is not None and not is_done(config, path):
+        started(config)
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -396,7 +307,9 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     folder = training_folder(path, config, resume)
     if is_done(config, folder):
         return folder
-    keeper = _Keeper(config, folder)
+    keeper = BestKeeper(config, folder)
+    if isinstance(config.hyperparameters, RecurrentPpoConfig):
+        return _train_recurrent(config, keeper, show, held)
     imitates = isinstance(config.hyperparameters, BcConfig | DaggerConfig)
     model = None if imitates else _restored(keeper)
     if held is not None:
@@ -454,8 +367,8 @@ def train_apart(
         if config.draw is not None and config.draw.endswith(".toml"):
             raise UsageError(f"A draw's file is read in this process: leave --executor out, or --draw {config.draw}.")
         carried += carried_task(config.setting) + carried_code(config.algo)
-        expert = getattr(config.hyperparameters, "expert", "")
-        carried += carried_agent(expert) if expert.endswith(".npz") else Carried()
+        for policy in (getattr(config.hyperparameters, "expert", ""), config.start or ""):
+            carried += carried_agent(policy) if policy.endswith(".npz") else Carried()
     with tqdm(
         total=sum(config.steps for config in configs),
         unit="step",
@@ -531,6 +444,41 @@ def _train_pupil(config, keeper, show):
         keeper.write(training.steps)
     keeper.write(config.steps)
     return keeper.folder
+
+
+def _train_recurrent(config, keeper, show, held):
+    """PPO with a memory, in legs, with a checkpoint after each."""
+    kind, chosen, seed = INPUTS[config.inputs], config.hyperparameters, 10_000_000 * (config.seed + 1)
+    draw = load_draw(config.draw) if config.draw else None
+    env = GuidedVecEnv(config.num_envs, seed, draw, config.setting, pupil=kind)
+    with contextlib.closing(env):
+        training = RecurrentPpo(env, kind.eye, config.steps, chosen, config.seed, seed, started(config))
+        if saved := read_checkpoint(keeper.folder, NotedPpo):
+            try:
+                keeper.restore(training.restore(*saved))
+            except ValueError as error:
+                raise damaged(keeper.folder / CHECKPOINT, error) from None
+            show(training.steps, {})
+        if held is not None:
+            keeper.board = held.enter_context(Board(keeper.folder, keeper.curve, training.steps))
+        recent = []
+        while True:
+            steps = training.steps
+            if training.rests and steps:
+                write_checkpoint(keeper.folder, *training.collect(keeper.state))
+                validated = keeper.validations[-1]["steps"] if keeper.validations else 0
+                if steps > validated and (training.done or steps // config.validate_every > len(keeper.validations)):
+                    show(steps, keeper.validate(training.layers, "clip", steps), validation=True)
+                    write_checkpoint(keeper.folder, *training.collect(keeper.state))
+                    keeper.write(steps)
+            if training.done:
+                return keeper.folder
+            ended, figures = training.update()
+            recent = (recent + ended)[-_RECENT:]
+            if recent:
+                means = {name: float(np.mean([one[name] for one in recent])) for name in ("r", "l", *SCORES)}
+                keeper.log({"steps": training.steps, "seconds": round(keeper.seconds, 1), **means}, figures)
+                show(training.steps, means | figures)
 
 
 def _train_bc(config, keeper, show):

@@ -4,9 +4,13 @@ An episode is drawn by `bson.task.spawn` from its seed, as everywhere else. The 
 person has arrived at the last one. Here these goals are drawn beforehand, from the same stream after the spawn. So each
 goal is drawn around the last goal, and not around the place, up to GOAL_RADIUS away, at which the person arrives. A
 person at the end of its ways walks them back.
+
+Episodes may have settings of their own, as far as worlds of one structure can have them: other LCFs and distances to
+goals, fewer people and fewer obstacles. Those who are missing stand far off the map, out of everybody's sight.
 """
 
 import concurrent.futures
+import itertools
 import os
 import pickle
 import subprocess
@@ -21,6 +25,7 @@ import numpy as np
 from bson import robot
 from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.people import beside_companions, find_ways, next_goals
+from bson.simulation.scene import structure
 from bson.task import TaskConfig, spawn
 from macid import layout
 from macid.routing import occupancy_grid
@@ -30,6 +35,8 @@ GOALS = 8  # of each person, where ways are straight
 ROUTED_GOALS = 3  # where ways lead around obstacles, which the host takes far longer to find
 ROUTED_WAYPOINTS = 32
 _BLOCK = 64  # episodes that a worker draws at once
+_TRIED = 50  # settings of an episode that are tried, where there is no room for it
+_AWAY, _APART = 1000.0, 50.0  # where who is missing stands, and how far from each other [m]
 
 
 class Drawn(NamedTuple):
@@ -95,9 +102,50 @@ def draw(config: TaskConfig, seed: int, with_map: bool = False) -> Drawn:
     )
 
 
-def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False) -> Drawn:
-    """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). Raises NoFreeSpace."""
-    *fields, traits = zip(*(draw(config, seed, with_map) for seed in seeds), strict=True)
+def _away(number, side):
+    """Places (number, 2) [m] far off the map; side: 1 or -1, of people and of obstacles."""
+    return np.stack([_AWAY + _APART * np.arange(number), np.full(number, side * _AWAY)], axis=-1).astype(np.float32)
+
+
+def filled(drawn: Drawn, config: TaskConfig) -> Drawn:
+    """The episode `drawn` for a world of `config`, which has at least as many people and obstacles."""
+    missing = config.people - len(drawn.people)
+    people = np.pad(drawn.people, ((0, missing), (0, 0)))
+    people[len(drawn.people) :, :2] = _away(missing, 1)
+    walls = structure(config)[2][0] - len(drawn.boxes)
+    boxes = np.concatenate([drawn.boxes, np.zeros((walls, 5), np.float32)])
+    boxes[len(drawn.boxes) :, :2] = _away(walls, -1)
+    boxes[len(drawn.boxes) :, 2:4] = 0.1
+    most = max(drawn.ways.shape[1], ROUTED_WAYPOINTS if len(boxes) > 4 else GOALS)
+    ways = np.pad(drawn.ways, ((0, missing), (0, most - drawn.ways.shape[1]), (0, 0)))
+    ways[len(drawn.people) :, 0] = people[len(drawn.people) :, :2]
+    return drawn._replace(
+        boxes=boxes,
+        people=people,
+        lcf=np.pad(drawn.lcf, (0, missing)),
+        models=np.pad(drawn.models, (0, missing)),
+        ways=ways,
+        turns=np.pad(drawn.turns, (0, missing), constant_values=1),
+    )
+
+
+def _one(config, seed, with_map, settings):
+    if settings is None:
+        return draw(config, seed, with_map)
+    failure = None
+    for setting in itertools.islice(settings(seed), _TRIED):
+        try:
+            return filled(draw(setting, seed, with_map), config)
+        except layout.NoFreeSpace as error:
+            failure = error
+    assert failure is not None
+    raise failure
+
+
+def draw_all(config: TaskConfig, seeds: Sequence[int], with_map: bool = False, settings: Any = None) -> Drawn:
+    """The episodes `seeds` of `config`: Drawn, with a leading axis (len(seeds),). settings: settings(seed) gives the
+    settings of the episode, the next one where the last has no room; None: all have `config`. Raises NoFreeSpace."""
+    *fields, traits = zip(*(_one(config, seed, with_map, settings) for seed in seeds), strict=True)
     each = zip(*traits, strict=True)
     together = Traits(*(None if one[0] is None else np.stack(one) for one in each))
     return Drawn._make([*map(np.stack, fields), together])
@@ -150,13 +198,21 @@ class Pool:
     `episodes` (Drawn, leading axis (size,)) holds the ring's episodes. A caller takes the slots in order around the
     ring. Before it takes up to `number` more, it calls `ensure(number)`, which waits only where the host has not drawn
     them yet; afterwards it calls `used` with the number taken. workers: number of processes that draw; 0: a thread
-    draws.
+    draws. settings: see draw_all; it can be pickled.
     """
 
-    def __init__(self, config: TaskConfig, size: int, seed: int = 0, with_map: bool = False, workers: int = 0):
+    def __init__(
+        self,
+        config: TaskConfig,
+        size: int,
+        seed: int = 0,
+        with_map: bool = False,
+        workers: int = 0,
+        settings: Any = None,
+    ):
         import jax
 
-        self.size, self.workers = size, workers
+        self.size, self.workers, self.settings = size, workers, settings
         self.config, self._with_map = config, with_map
         self._next_seed = int(seed)
         block = max(1, min(_BLOCK, size // 4))
@@ -186,7 +242,7 @@ class Pool:
             self._next_seed += self._block
             number = self._next_seed // self._block
             task: Callable[..., Any] = self._workers[number % len(self._workers)] if self._workers else draw_all
-            self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map))
+            self._pending.append(self._threads.submit(task, self.config, seeds, self._with_map, self.settings))
 
     def used(self, number: int) -> None:
         """Notes that `number` more episodes have begun."""

@@ -11,7 +11,8 @@ import optax
 from macid.geometry import Array
 from macid.policy import ACTIONS, FEATURES, HIDDEN, mlp
 
-Network: TypeAlias = Callable[[Any, Array], Array]  #: what makes an output (..., out) of its layers and x (..., in)
+#: What makes an output (..., out) of its layers and x: an array (..., in), or what else the network takes.
+Network: TypeAlias = Callable[[Any, Any], Array]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,7 +128,7 @@ def gaussian_log_density(z: Array, log_std: Array) -> Array:
     return -0.5 * jnp.sum(z**2 + jnp.log(2 * jnp.pi), axis=-1) - jnp.sum(log_std)
 
 
-def log_probability(policy: Any, x: Array, action: Array, network: Network = mlp) -> Array:
+def log_probability(policy: Any, x: Any, action: Array, network: Network = mlp) -> Array:
     """log pi(action | x) (...) of the diagonal Gaussian policy; x (..., inputs), action (..., ACTIONS).
 
     network: what makes an output of its layers and x, here as in what follows."""
@@ -137,7 +138,7 @@ def log_probability(policy: Any, x: Array, action: Array, network: Network = mlp
 
 def clipped_objective(
     policy: Any,
-    x: Array,
+    x: Any,
     action: Array,
     old_log_probability: Array,
     advantage: Array,
@@ -150,7 +151,7 @@ def clipped_objective(
     return jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
 
-def value_loss(layers: Any, x: Array, target: Array, network: Network = mlp) -> Array:
+def value_loss(layers: Any, x: Any, target: Array, network: Network = mlp) -> Array:
     """Eq. 4: mean squared error of the value (...) against the return."""
     return jnp.mean((network(layers, x)[..., 0] - target) ** 2)
 
@@ -178,7 +179,7 @@ def make_optimizer(config: PpoConfig, updates: int, networks: Iterable[str]) -> 
     return optax.partition({name: one for name in networks}, {name: name for name in networks})
 
 
-def loss(parameters: Any, batch: dict[str, Array], config: PpoConfig, network: Network = mlp) -> Array:
+def loss(parameters: Any, batch: dict[str, Any], config: PpoConfig, network: Network = mlp) -> Array:
     """Sum of the networks' losses; they share no parameter, so each gets its own gradient."""
     policy, entropy = parameters["policy"], jnp.sum(parameters["policy"]["log_std"])
     objective = clipped_objective(
@@ -196,12 +197,13 @@ def update(
     parameters: Any,
     optimizer: optax.GradientTransformation,
     optimizer_state: Any,
-    data: dict[str, Array],
+    data: dict[str, Any],
     key: Array,
     config: PpoConfig,
     network: Network = mlp,
 ) -> tuple[Any, Any]:
-    """`epochs` passes over `data` (a dict of arrays with a leading axis (N,)) in shuffled minibatches."""
+    """`epochs` passes over `data` (a dict of arrays, or trees of them, with a leading axis (N,)) in shuffled
+    minibatches."""
     count = data["advantage"].shape[0]
     batches = max(1, count // config.batch)
     size = min(config.batch, count)

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
+from bson.learning import keeper as keeper_module
 from bson.learning import train as train_module
 from bson.learning.algorithms import PpoConfig, SacConfig, export
 from bson.learning.train import TrainConfig, train
@@ -32,7 +33,7 @@ def config(algo):
 def begun(request, tmp_path_factory):
     """A training's configuration, its arrays and what was noted after 32 of 64 steps."""
     whole, folder = config(request.param), tmp_path_factory.mktemp("begun")
-    keeper = train_module._Keeper(whole, folder)
+    keeper = keeper_module.BestKeeper(whole, folder)
     model = whole.hyperparameters.build(train_module._env(whole), 0).learn(32)
     layers, output = export(model)
     keeper.best = {"layers": layers, "output": output, "steps": 32, "validation": {"SNS": 3.0}}

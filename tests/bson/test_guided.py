@@ -42,8 +42,8 @@ def guided_layers(rng):
     return layers_of(rng, [*encoder, (guided.ATTENDED, 16), (16, 2)])
 
 
-def pupil_layers(rng, pictures):
-    return layers_of(rng, [shape for each in recurrent.shapes(pictures).values() for shape in each])
+def pupil_layers(rng, eye):
+    return layers_of(rng, [shape for each in recurrent.shapes(eye).values() for shape in each])
 
 
 def vectors(rng, number):
@@ -85,17 +85,19 @@ def test_attention_is_the_same_in_numpy_jax_and_torch():
     np.testing.assert_allclose(found, jax.jit(guided.attended)(linear_layers(eyes), jnp.asarray(x)), atol=1e-5)
 
 
-@pytest.mark.parametrize("pictures", [False, True])
-def test_a_recurrent_network_is_the_same_in_numpy_jax_and_torch_and_for_one_and_many(pictures):
+@pytest.mark.parametrize("eye", recurrent.EYES)
+def test_a_recurrent_network_is_the_same_in_numpy_jax_and_torch_and_for_one_and_many(eye):
     import torch
 
     from bson.learning.dagger import Network
 
     rng = np.random.default_rng(1)
     torch.manual_seed(1)
-    network = Network(pictures)
-    x = rng.normal(size=(6, 3, recurrent.MOTION)).astype(np.float32) if pictures else vectors(rng, 18).reshape(6, 3, -1)
-    seen = rng.random((6, 3, *recurrent.PICTURE)).astype(np.float32) if pictures else None
+    network = Network(eye)
+    sizes = {"picture": recurrent.MOTION, "none": recurrent.size("none")}
+    x = vectors(rng, 18).reshape(6, 3, -1)
+    x = rng.normal(size=(6, 3, sizes[eye])).astype(np.float32) if eye in sizes else x
+    seen = rng.random((6, 3, *recurrent.PICTURE)).astype(np.float32) if eye == "picture" else None
     wanted, _ = network(torch.from_numpy(x), None if seen is None else torch.from_numpy(seen))
     state = other = np.zeros((3, recurrent.UNITS), np.float32)
     alone = np.zeros((1, recurrent.UNITS), np.float32)
@@ -214,7 +216,7 @@ def test_a_reset_forgets_and_no_memory_comes_from_elsewhere():
     rng = np.random.default_rng(0)
     config, track = TaskConfig(**SMALL), make_track("local", "lidar2d")
     agent, other = (
-        learned.Pupil(pupil_layers(np.random.default_rng(2), False), "clip", Setting.of(config, track)) for _ in "ab"
+        learned.Pupil(pupil_layers(np.random.default_rng(2), "people"), "clip", Setting.of(config, track)) for _ in "ab"
     )
     session = Session(config, track, 1)
     seen = [{name: value[0] for name, value in session.reset([0], [4]).items()}]
@@ -229,10 +231,10 @@ def test_a_reset_forgets_and_no_memory_comes_from_elsewhere():
     assert np.array_equal(np.array([other(one) for one in seen]), first)
 
 
-@pytest.mark.parametrize("inputs", ["guided", "guided-scans", "gru", "gru-map", "camera"])
+@pytest.mark.parametrize("inputs", ["guided", "guided-scans", "gru", "gru-map", "camera", "gru-scans"])
 def test_policies_are_read_as_they_were_written(inputs, tmp_path):
     rng, kind = np.random.default_rng(0), learned.KINDS[inputs]
-    layers = pupil_layers(rng, kind.pictures) if issubclass(kind, learned.Pupil) else guided_layers(rng)
+    layers = pupil_layers(rng, kind.eye) if issubclass(kind, learned.Pupil) else guided_layers(rng)
     track = make_track("local", kind.sensor)
     setting = learned.setting_document(Setting.of(TaskConfig(), track), getattr(kind, "pictures", False))
     recipe = {"output": "clip", "inputs": inputs, "setting": setting}
@@ -263,7 +265,7 @@ def test_policies_are_read_as_they_were_written(inputs, tmp_path):
         load_agent(str(tmp_path / "mine.npz"))
     recipe["inputs"] = "eyes"
     (tmp_path / "mine.json").write_text(json.dumps(recipe))
-    with pytest.raises(UsageError, match="scans, guided, guided-scans, gru, gru-map, camera, not 'eyes'"):
+    with pytest.raises(UsageError, match="scans, guided, guided-scans, gru, gru-map, camera, gru-scans, not 'eyes'"):
         load_agent(str(tmp_path / "mine.npz"))
 
 
@@ -426,7 +428,7 @@ def test_a_depth_picture_keeps_the_nearest_pixel_of_each_block():
     assert seen.shape == recurrent.PICTURE and seen[1, 2] == 0.75 and np.count_nonzero(seen) == 1
 
 
-@pytest.mark.parametrize("inputs", ["gru", "gru-map"])
+@pytest.mark.parametrize("inputs", ["gru", "gru-map", "gru-scans"])
 def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path, monkeypatch):
     from bson.learning import train as training
     from bson.learning.dagger import DaggerConfig, Imitation, Noted
@@ -462,8 +464,11 @@ def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"algo": "bc", "inputs": "guided"}, "bc learns with --inputs of scans, gru, gru-map, camera, not guided"),
-        ({"algo": "ppo", "inputs": "gru"}, "ppo learns with --inputs of scans, guided, guided-scans, not gru"),
+        (
+            {"algo": "bc", "inputs": "guided"},
+            "bc learns with --inputs of scans, gru, gru-map, camera, gru-scans, not guided",
+        ),
+        ({"algo": "sac", "inputs": "gru"}, "sac learns with --inputs of scans, guided, guided-scans, not gru"),
         ({"inputs": "eyes"}, "inputs must be one of"),
         ({"draw": "standard"}, "A draw is for robots with --inputs of guided"),
         ({"inputs": "guided", "draw": "nowhere"}, "Unknown draw 'nowhere'"),

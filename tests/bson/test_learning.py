@@ -12,6 +12,7 @@ from bson.agents import Setting, learned
 from bson.episodes.tracks import make_track
 from bson.features import FEATURES, Features
 from bson.interfaces.gym import BsonEnv
+from bson.learning import keeper as keeper_module
 from bson.task import TaskConfig
 from macid.files import UsageError, lock_folder
 from macid.policy import write_network
@@ -186,14 +187,14 @@ def test_a_training_writes_what_can_be_evaluated_and_goes_on(algo, hyperparamete
     ("algo", "hyperparameters"), [("ppo", SMALL_PPO), ("tac", dataclasses.replace(SMALL_SAC, q=1.2))]
 )
 def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
-    keeper = train_module._Keeper(config(algo, hyperparameters), tmp_path)
+    keeper = keeper_module.BestKeeper(config(algo, hyperparameters), tmp_path)
     model = hyperparameters.build(FeatureVecEnv(2, seed=0, **TASK), seed=0).learn(128)
     keeper.curve.append({"steps": 128})
     layers, output = export(model)
     keeper.best = {"layers": layers, "output": output, "steps": 64, "validation": {"SNS": 1.5}}
     train_module._save_checkpoint(model, keeper)
     drawn = torch.rand(3), np.random.random(3)
-    fresh = train_module._Keeper(keeper.config, tmp_path)
+    fresh = keeper_module.BestKeeper(keeper.config, tmp_path)
     restored = train_module._restored(fresh)
     assert (torch.rand(3) == drawn[0]).all() and (np.random.random(3) == drawn[1]).all()
     assert restored.num_timesteps == model.num_timesteps == 128 and restored._n_updates == model._n_updates > 0
@@ -212,7 +213,9 @@ def test_a_checkpoint_holds_all_but_the_worlds(algo, hyperparameters, tmp_path):
         assert restored.replay_buffer.pos == model.replay_buffer.pos > 0
         assert (restored.replay_buffer.observations == model.replay_buffer.observations).all()
     for one in (model, restored):  # and what they learn next, in the same worlds from the same draws, is the same
-        train_module._restored(train_module._Keeper(keeper.config, tmp_path))  # sets torch's and NumPy's random numbers
+        train_module._restored(
+            keeper_module.BestKeeper(keeper.config, tmp_path)
+        )  # sets torch's and NumPy's random numbers
         one.set_env(FeatureVecEnv(2, seed=5, **TASK))
         one.action_space.seed(1)
         one.learn(64, reset_num_timesteps=False)
@@ -241,16 +244,16 @@ def test_the_policy_that_validates_best_is_kept(tmp_path, monkeypatch):
     scores = iter([10.0, 30.0, 20.0, 5.0])
 
     def measured(episode):
-        return dict.fromkeys(train_module._SCORES, 0.0) | {"SNS": score[0]}
+        return dict.fromkeys(keeper_module.SCORES, 0.0) | {"SNS": score[0]}
 
-    score, validate = [0.0], train_module._Keeper.validate
+    score, validate = [0.0], keeper_module.BestKeeper.validate
 
     def scored(self, *arguments):
         score[0] = next(scores)
         return validate(self, *arguments)
 
-    monkeypatch.setattr(train_module, "measure", measured)
-    monkeypatch.setattr(train_module._Keeper, "validate", scored)
+    monkeypatch.setattr(keeper_module, "measure", measured)
+    monkeypatch.setattr(keeper_module.BestKeeper, "validate", scored)
     whole = dataclasses.replace(config("ppo", SMALL_PPO), validate_every=64)
     folder = train(whole, tmp_path)
     recipe = json.loads((folder / "policy.json").read_text())
