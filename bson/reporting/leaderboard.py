@@ -67,7 +67,7 @@ def _caption(run):
     digest = f", digest {_code(content['suite_digest'])}" if content.get("suite_digest") else ""
     cells = f" in {len(content['cells'])} cells" if len(content["cells"]) > 1 else ""
     seeds = len({seed for _, seed in played(run)})
-    drawn = f", its {seeds} seeds drawn with all their episodes" if seeds < episodes else ""
+    drawn = f", which draw the {seeds} seeds, each with all of its episodes" if seeds < episodes else ""
     other = "" if content.get("frozen_seeds", True) else ", not the suite's own seeds"
     words = ["bson", "evaluate", "--agent", "AGENT", "--suite", content["suite"]]
     words += ["--episodes", str(episodes // len(content["cells"]))]
