@@ -59,6 +59,7 @@ _RUNS = {"ours": "runs", "paper": "runs-paper-size"}
 CROWDS = ("social-force-progress", "orca", "ipo", "macid", "macid-human")  # of the carry-over table
 UNMET = "macid-touch"  # tested among, not trained among
 STREET = "street"  # the suite tested on, not trained on
+COLUMNS = (*CROWDS, UNMET, STREET)  # of the carry-over table
 _PEOPLE = ("person_radius", "preferred_speed", "person_max_speed", "companions")  # what people are like
 _LIKE_STREET = ("macid-human",)  # whose people are so as on STREET, since they learned as such
 TABLES = ("table3", "lcf", "carry-over")
@@ -238,20 +239,23 @@ def _by_lcf(agents, score):
     return table
 
 
-def columns():
-    """{column of the carry-over table: (suite's name, the task's fields that differ)}."""
-    return {crowd: ("paper", crowd_of(crowd)) for crowd in (*CROWDS, UNMET)} | {STREET: (STREET, {})}
+def tested_on(column):
+    """(suite's name, the task's fields that differ) of a column of the carry-over table."""
+    return (STREET, {}) if column == STREET else ("paper", crowd_of(column))
 
 
-def _carried(robots, score, metric):
+def _carried(robots, score, metric, columns=COLUMNS):
     """Lines of a metric's carry-over table. robots: {the crowd that robots were trained among, or an agent's name:
     files}. score: called with a file and a column. The mean is over the columns whose episodes are the same."""
-    *among, street = columns()
-    table = [f"| {metric}: trained among | {' | '.join([*among, 'mean', street])} |", "|---" * (3 + len(among)) + "|"]
+    among = [column for column in columns if column != STREET]
+    titles = [*among, *(["mean"] if len(among) > 1 else []), *([STREET] if STREET in columns else [])]
+    table = [f"| {metric}: trained among | {' | '.join(titles)} |", "|---" * (1 + len(titles)) + "|"]
     for home, files in robots.items():
         tested = [[score(file, crowd) for file in files] for crowd in among]
-        tested.append([averaged(crowds) for crowds in zip(*tested, strict=True)])
-        tested.append([score(file, street) for file in files])
+        if len(among) > 1:
+            tested.append([averaged(crowds) for crowds in zip(*tested, strict=True)])
+        if STREET in columns:
+            tested.append([score(file, STREET) for file in files])
         row = [cells(averaged(by_seed), (metric,)) for by_seed in tested]
         table.append(f"| {home} | " + " | ".join(row) + " |")
         if len(files) > 1:
@@ -294,7 +298,7 @@ def _make(args, executor):
         return scored(rows, agent, suite, episodes["paper"], **changes)
 
     def score_in(agent, column):
-        name, changes = columns()[column]
+        name, changes = tested_on(column)
         return scored(rows, agent, suites[name], episodes[name], **changes)
 
     def note(algo, files, by_seed):
@@ -306,7 +310,7 @@ def _make(args, executor):
         print("\n".join(["", f"{out / name}:", *lines]), flush=True)
 
     homes = [(algo, "macid") for algo in args.algos if {"table3", "lcf"} & set(args.tables)]
-    homes += [(args.carry, crowd) for crowd in CROWDS if "carry-over" in args.tables]
+    homes += [(args.carry, crowd) for crowd in args.among if "carry-over" in args.tables]
     experts = [("ppo", crowd) for algo, crowd in homes if algo == "bc"]
     for turn in (experts + [home for home in homes if home[0] != "bc"], [home for home in homes if home[0] == "bc"]):
         train_missing(executor, [config for home in dict.fromkeys(turn) for config in configs(*home)], runs)
@@ -317,8 +321,8 @@ def _make(args, executor):
         settings += [{"lcf": lcf} for lcf in lcf_bins("macid") if "lcf" in args.tables]
         asked += [(file, suite, changes) for files in agents.values() for file in files for changes in settings]
     if "carry-over" in args.tables:
-        carried = {crowd: robots(args.carry, crowd) for crowd in CROWDS} | {name: [name] for name in SCRIPTED}
-        settings = [(suites[name], changes) for name, changes in columns().values()]
+        carried = {crowd: robots(args.carry, crowd) for crowd in args.among} | {name: [name] for name in SCRIPTED}
+        settings = [(suites[name], changes) for name, changes in map(tested_on, args.tested)]
         asked += [(file, *setting) for files in carried.values() for file in files for setting in settings]
     if executor.workers is not None:
         play_missing(executor, rows, episodes, asked)
@@ -328,7 +332,7 @@ def _make(args, executor):
         write("lcf.md", _by_lcf(agents, score))
     if "carry-over" in args.tables:
         for metric in ("SNS", "Coll"):
-            write(f"carry-over-{metric}.md", _carried(carried, score_in, metric))
+            write(f"carry-over-{metric}.md", _carried(carried, score_in, metric, args.tested))
     return 0
 
 
@@ -338,6 +342,16 @@ def main():
     parser.add_argument("--algos", nargs="+", default=list(ROBOTS), choices=ROBOTS)
     parser.add_argument(
         "--carry", default="ppo", choices=list(ALGORITHMS), help="the algorithm of the carry-over table"
+    )
+    parser.add_argument(
+        "--among",
+        nargs="+",
+        default=list(CROWDS),
+        choices=CROWDS,
+        help="only robots trained among these crowds carry over",
+    )
+    parser.add_argument(
+        "--tested", nargs="+", default=list(COLUMNS), choices=COLUMNS, help="only these columns of the carry-over table"
     )
     parser.number("--seeds", int, 1, MOST_SEEDS, default=3, help="of each training (default 3)")
     parser.number("--steps", float, 1.0, MOST_STEPS, default=1e6, help="of each training (default 1e6)")

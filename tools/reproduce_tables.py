@@ -226,10 +226,11 @@ def note_scores(files, rows_by_seed):
 def over_seeds(rows_by_seed, columns=COLUMNS):
     """Mean over seeds of every column on every level (levels * columns,), and the standard deviation; None for a single
     seed."""
-    values = np.array(
+    values = np.ma.masked_invalid(
         [[row[c] if row[c] is not None else np.nan for row in rows for c in columns] for rows in rows_by_seed]
     )
-    return np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1) if len(values) > 1 else None
+    spread = values.std(axis=0, ddof=1).filled(np.nan) if len(values) > 1 else None
+    return values.mean(axis=0).filled(np.nan), spread
 
 
 def line(label, mean, std=None):

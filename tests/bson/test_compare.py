@@ -103,7 +103,7 @@ def test_a_difference_is_marked_where_its_interval_excludes_0_and_there_are_enou
 
 
 def test_cells_that_share_seeds_are_no_more_pairs_than_their_seeds():
-    """The same lead in each of three cells: the same interval as in one, as evaluate prints it; of five seeds no mark."""
+    """The same lead in each of three cells: the interval of one, as evaluate prints it; of five seeds no mark."""
     rng = np.random.default_rng(9)
     base, lead = 50.0 + 10.0 * rng.normal(size=12), 4.0 + 5.0 * rng.normal(size=12)
 

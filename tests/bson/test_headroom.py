@@ -51,7 +51,7 @@ def test_a_suites_most_is_the_mean_over_each_cells_episodes():
 
 def test_the_shipped_figures_are_of_todays_suites_and_nobody_beats_them():
     shipped, board = pages.shipped("headroom"), pages.board()
-    assert {"paper", "standard", "scenarios", "street"} <= shipped.keys()
+    assert {"dense", "paper", "standard", "scenarios", "street"} <= shipped.keys()
     for name, suite in shipped.items():
         assert suite["digest"] == load_suite(name).digest
         assert list(suite["most"]) == [cell.name for cell in load_suite(name).cells]
@@ -62,6 +62,12 @@ def test_the_shipped_figures_are_of_todays_suites_and_nobody_beats_them():
     assert {"paper", "standard"} <= board.keys() and sum(map(len, board.values())) == len(ranked) >= 24
     row = board["standard"]["vfh"]
     assert "| {SNS:.1f} [{low:.1f}, {high:.1f}] |".format(**row) in text and row["low"] < row["SNS"] < row["high"]
+
+
+def test_dense_leaves_room_above_the_rules_that_see_the_lidar_alone_and_it_can_be_had():
+    agents = pages.shipped("headroom")["dense"]["agents"]
+    assert all(agents[name]["SNS"] <= 60.0 for name in ("vfh", "dwa", "stop-and-go", "goal"))
+    assert agents["mppi"]["SNS"] >= 85.0
 
 
 def test_the_most_of_paper_follows_from_the_suite():

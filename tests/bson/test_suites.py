@@ -8,6 +8,7 @@ from bson.task import TaskConfig, spawn
 from macid import assets
 
 DIGESTS = {
+    "dense": "4ae85485fb7a",
     "paper": "d29ce0019b09",
     "paper-slow": "0440c9d01af9",
     "scenarios": "7f1177ebb47f",
@@ -53,7 +54,7 @@ def test_standard_has_every_combination_of_three_criteria():
     assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
 
 
-@pytest.mark.parametrize(("name", "cells"), [("scenarios", 7), ("street", 4)])
+@pytest.mark.parametrize(("name", "cells"), [("dense", 4), ("scenarios", 7), ("street", 4)])
 def test_every_cell_has_room_for_all_its_episodes(name, cells):
     suite = load_suite(name)
     assert len(suite.cells) == cells
@@ -73,6 +74,14 @@ def test_streets_have_people_as_they_are():
         together = [np.bincount(each.traits.group)[each.traits.group] > 1 for each in drawn]
         assert 0.44 <= np.mean(together) <= 0.76
         assert all((each.traits.radius == np.float32(0.2)).all() for each in drawn)
+
+
+def test_dense_is_denser_than_standard_and_of_every_temper():
+    dense, standard = load_suite("dense"), load_suite("standard")
+    assert len(dense.cells) * len(dense.seeds) == 100
+    most = max(cell.config.people / cell.config.map_size**2 for cell in standard.cells)
+    for cell in dense.cells:
+        assert cell.config.people / cell.config.map_size**2 > 1.2 * most and cell.config.lcf == (-2.0, 2.0)
 
 
 def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):

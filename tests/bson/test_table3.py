@@ -120,7 +120,7 @@ def test_an_episode_of_failed_physics_is_left_out_for_all_seeds():
 
 
 def test_the_carry_over_table_has_each_crowd_their_mean_and_the_street():
-    met = {(crowd, seed): 10.0 * index + seed for index, crowd in enumerate(table3.columns()) for seed in (0, 2)}
+    met = {(crowd, seed): 10.0 * index + seed for index, crowd in enumerate(table3.COLUMNS) for seed in (0, 2)}
 
     def score(file, column):
         return [episode(met[column, file]), None] * (2 if column == "street" else 1)
@@ -132,18 +132,21 @@ def test_the_carry_over_table_has_each_crowd_their_mean_and_the_street():
     assert told == [1.0, 11.0, 21.0, 31.0, 41.0, 51.0, 26.0, 61.0]
     assert lines[3].split(" | ")[1] == "0.0, 2.0" and lines[3].split(" | ")[-2:] == ["25.0, 27.0", "60.0, 62.0 |"]
     assert lines[4].split(" | ")[-2].startswith("25.0 ") and len(lines) == 5
+    few = table3._carried({"goal": [0]}, score, "Coll", ["street", "macid"])
+    assert few[0] == "| Coll: trained among | macid | street |" and few[1].count("|---") == 3
+    assert few[2].count(" | ") == 2
 
 
 def test_only_people_who_learned_as_others_than_the_papers_are_so_in_training_and_in_the_table(tmp_path):
     street = load_suite("street").cells[0].config
     for crowd in table3.CROWDS:
         setting = table3.wanted("ppo", crowd, 0, 1000, tmp_path).setting
-        (suite, changes), paper = table3.columns()[crowd], load_suite("paper").cells[0].config
+        (suite, changes), paper = table3.tested_on(crowd), load_suite("paper").cells[0].config
         assert suite == "paper" and setting.pedestrian_model == crowd
         assert paper.replace(**changes) == dataclasses.replace(setting, lcf=paper.lcf, num_pedestrians=24)
         alike = [getattr(setting, name) == getattr(street, name) for name in ("person_radius", "companions")]
         assert alike == [crowd == "macid-human"] * 2
-    assert table3.columns()["street"] == ("street", {})
+    assert table3.tested_on("street") == ("street", {})
 
 
 def test_a_suite_of_several_cells_is_scored_cell_by_cell_and_kept(tmp_path, monkeypatch):

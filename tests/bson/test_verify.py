@@ -6,6 +6,7 @@ import pytest
 from bson import cli
 from bson.evaluation.results import Results
 from bson.evaluation.verify import drawn, read_record, record_path, results_hash
+from bson.reporting.compare import compare
 
 QUICK = ["--set", "map_size=20.0", "--set", "goal_distance=(6,12)", "--set", "num_pedestrians=3", "--set", "horizon=30"]
 AGENT = "def agent(observation):\n    return [0.6, 0.1]\n"
@@ -78,6 +79,7 @@ def test_an_episode_that_comes_out_otherwise_is_told_with_what_was_and_is(folder
     ("doing", "told"),
     [
         (lambda content: content["summary"].update(SNS=99.0), "SNS of all episodes: the mean was 99.0"),
+        (lambda content: content["intervals"].update(SNS=[0.0, 99.0]), "in [0.0, 99.0], its episodes have"),
         (lambda content: content["episodes"].pop(1), "left out: seeds 2000101"),
         (lambda content: content["episodes"][0].update(seed=7), "no episodes of the suite: seeds 7"),
         (lambda content: content["cells"][0]["config"].update(horizon=31), "horizon was 31, the suite has 30"),
@@ -136,6 +138,9 @@ def test_own_agents_and_own_suites_are_named_beside_the_results(tmp_path, monkey
     assert code == 0 and [(e.cell, e.seed) for e in record.episodes] == [
         (c, s) for c in ("few", "more") for s in (3, 1, 2)
     ]
+    run = Results.load("out")
+    compared = compare([run, run])["runs"][0]["summary"]["SNS"]  # of seeds that two cells share
+    assert run.intervals["SNS"] == (compared["low"], compared["high"])
     (tmp_path / "mine.py").write_text(AGENT.replace("0.1", "0.2"))
     code, record = verified("out", "--agent", "mine.py", "--suite", "mine.toml", "--share", "0.3", "--seed", "1")
     assert code == 1 and len(record.episodes) == 2 and all("PE" in each.differs for each in record.episodes)
