@@ -38,7 +38,11 @@ ROOT = pathlib.Path(__file__).parents[1]
 RESULTS = ROOT / "assets" / "results"
 AGENTS = ROOT / "assets" / "agents"
 PAGES = ("bson/README.md", "macid/README.md", "assets/policies/README.md", "assets/agents/README.md")
-GIVEN = ("leaderboard", "table3", "carry-over-SNS", "carry-over-Coll", "lcf")  # tables as their commands printed them
+# Tables as their commands printed them.
+GIVEN = (
+    *("leaderboard", "table3", "lcf", "carry-over-SNS", "carry-over-Coll"),
+    *("carry-over-human-SNS", "carry-over-human-Coll"),
+)
 TURNED = ("macid", "macid-touch")  # of Table I
 EPISODES = 5  # a level, section and seed
 DRIVEN = ("goal", "ppo", "vfh", "stop-and-go", "tac", "sac", "bc")  # of speed-and-period.md
