@@ -38,7 +38,11 @@ ROOT = pathlib.Path(__file__).parents[1]
 RESULTS = ROOT / "assets" / "results"
 AGENTS = ROOT / "assets" / "agents"
 PAGES = ("bson/README.md", "macid/README.md", "assets/policies/README.md", "assets/agents/README.md")
-GIVEN = ("leaderboard", "table3", "carry-over-SNS", "carry-over-Coll", "lcf")  # tables as their commands printed them
+# Tables as their commands printed them.
+GIVEN = (
+    *("leaderboard", "table3", "lcf", "carry-over-SNS", "carry-over-Coll"),
+    *("carry-over-human-SNS", "carry-over-human-Coll"),
+)
 TURNED = ("macid", "macid-touch")  # of Table I
 EPISODES = 5  # a level, section and seed
 DRIVEN = ("goal", "ppo", "vfh", "stop-and-go", "tac", "sac", "bc")  # of speed-and-period.md
@@ -280,6 +284,15 @@ def gpu_crowds():
     return lines
 
 
+def gpu_seeds():
+    """Lines of Table II's columns for the seeds that were trained on a GPU."""
+    lines = tables.header("model")
+    for name, seeds in shipped("gpu-seeds").items():
+        by_seed = [[levels[str(level)] for level in LEVELS] for levels in seeds.values()]
+        lines.append(tables.line(labelled(name, by_seed), *tables.over_seeds(by_seed)))
+    return lines
+
+
 def gpu_robots():
     """Lines of the table of the robot's worlds on a GPU."""
     named = {
@@ -406,7 +419,7 @@ def results():
 def pieces():
     """{name: lines} of everything that a page may hold between marks."""
     given = {name: (RESULTS / f"{name}.md").read_text().splitlines() for name in GIVEN}
-    parts = {"knob-CP": knob("CP"), "knob-means": knob_means()}
+    parts = {"knob-CP": knob("CP"), "knob-means": knob_means(), "gpu-seeds": gpu_seeds()}
     cards = {f"card-{family}": pedestrian_card(family, members) for family, members in families().items()}
     cards |= {f"card-{name}": agent_card(name) for name in agent_names()}
     return {**given, **results(), **parts, **cards}

@@ -58,8 +58,8 @@ class DeviceWorlds:
             workers = 0 if env.num_envs < 256 else max(1, min(16, (os.cpu_count() or 2) - 1))
         self._counted, config = 0, env.config
         reach = _FASTER * config.robot.max_speed * config.control_period
-        shortest = config.goal_distance[0] if shortest is None else shortest
-        self._least = max(1, min(config.horizon, int((shortest - GOAL_RADIUS) / reach)))
+        nearest = config.goal_distance[0] if shortest is None else shortest
+        self._least = max(1, min(config.horizon, int((nearest - GOAL_RADIUS) / reach)))
         size = max(128, env.num_envs + self.most_begun(ahead) + 128) if pool is None else pool
         self.pool = Pool(config, -(-size // 64) * 64 if size > 64 else size, seed, env.has_map, workers, settings)
         self._begin = jax.jit(self._first)

@@ -21,7 +21,6 @@ import msgspec
 import numpy as np
 
 from bson import recurrent
-from bson.agents.contract import Setting
 from bson.features import FEATURES, SCANS, SECTORS, remember, vector
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
@@ -154,7 +153,6 @@ class DevicePpo:
         env = BsonFuncEnv("local", "lidar2d", config.num_envs, engine=engine, task=task)
         self._ahead = 2 * self.hyper.rollout  # steps of a running iteration and of the next, already asked for
         self._top = (env.config.robot.max_speed, env.config.robot.max_yaw_rate)
-        self.setting = Setting.of(env.config, env.track)  #: the setting in which it learns
         self.first_seed = 2**32 * (config.seed + 1)  # of its episodes
         shortest = episodes.shortest if episodes else None
         self.worlds = DeviceWorlds(

@@ -229,14 +229,14 @@ def test_what_does_not_fit_is_refused(arguments, told):
 def test_the_return_rises(tmp_path):
     from bson.learning.train import train
 
-    config = training(
-        tmp_path, 0, 20 * 64 * 4, "gru-scans", None, rollout=64, piece=16, epochs=6, leg=20, learning_rate=3e-3
-    )
+    chosen = {"rollout": 128, "piece": 16, "epochs": 6, "leg": 20, "learning_rate": 3e-3, "batch": 16}
+    config = training(tmp_path, 0, 20 * 128 * 8, "gru-scans", **chosen)
+    config = dataclasses.replace(config, num_envs=8, validate_every=10**6)
     rows = []
 
     def show(steps, figures, validation=False):
         if figures and not validation:
             rows.append(figures["r"])
 
-    train(dataclasses.replace(config, validate_every=10**6), tmp_path, show=show)
+    train(config, tmp_path, show=show)
     assert rows[-1] > rows[0] + 1.0
