@@ -92,7 +92,9 @@ def _trial():
     """Why drawing fails here, None where it works. A process of its own tries, as some backends abort instead of
     raising errors."""
     root = os.path.dirname(os.path.dirname(os.path.abspath(start.__file__)))
-    code = f"import sys; sys.path.insert(0, {root!r}); from macid.drawing import gl_problem; print(gl_problem() or '')"
+    code = (
+        f"import sys; sys.path.insert(0, {root!r}); from macid.drawing.gl import gl_problem; print(gl_problem() or '')"
+    )
     chosen = f"with MUJOCO_GL={os.environ.get('MUJOCO_GL', 'default')}"
     try:
         tried = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=_PATIENCE)
