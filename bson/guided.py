@@ -15,6 +15,7 @@ import numpy as np
 
 from bson.features import FEATURES, SCANS, SECTORS, motion
 from macid.geometry import Array
+from macid.networks import relu_mlp
 
 PEOPLE = 12  # who are told of: those who are, or will soon be, nearest
 PERSON = 7  # numbers of a person
@@ -104,10 +105,7 @@ def attended(person: Sequence[tuple[Array, Array]], x: Array) -> Array:
     each = each.reshape(*each.shape[:-1], PEOPLE, PERSON)
     mine = xp.broadcast_to(rest[..., None, :OWN], (*each.shape[:-1], OWN))
     encoded, present = xp.concatenate([mine, each], axis=-1), each[..., :1]
-    for weight, bias in person[:-1]:
-        encoded = xp.maximum(encoded @ weight + bias, 0.0)
-    weight, bias = person[-1]
-    encoded = encoded @ weight + bias
+    encoded = relu_mlp(person, encoded)
     attention = present * xp.exp(10.0 * xp.tanh(encoded[..., :1] / 10.0))
     encoded = xp.maximum(encoded[..., 1:], 0.0)
     mean = (attention * encoded).sum(axis=-2) / (1.0 + attention.sum(axis=-2))

@@ -21,6 +21,7 @@ import numpy as np
 from bson import guided
 from bson.features import FEATURES
 from macid.geometry import Array
+from macid.networks import relu_mlp
 
 EYE, MEMORY, HEAD = "eye_", "memory_", ""  # what the parts' names in a policy's file begin with
 EYES = ("people", "picture", "none")  # what a network may see: bson.guided, depth pictures, or bson.features as it is
@@ -112,12 +113,7 @@ def see(network: Mapping[str, Any], vector: Array, pictures: Array | None) -> Ar
 
 def decide(network: Mapping[str, Any], state: Array) -> Array:
     """What the head makes (..., out) of the unit's state (..., UNITS): actions before clipping."""
-    x = state
-    xp = x.__array_namespace__()
-    for weight, bias in network[HEAD][:-1]:
-        x = xp.maximum(x @ weight + bias, 0.0)
-    weight, bias = network[HEAD][-1]
-    return x @ weight + bias
+    return relu_mlp(network[HEAD], state)
 
 
 def step(network: Mapping[str, Any], vector: Array, pictures: Array | None, state: Array) -> tuple[Array, Array]:

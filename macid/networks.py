@@ -34,6 +34,16 @@ def mlp(layers: Layers, x: Array) -> Array:
     return x @ weight + bias
 
 
+def relu_mlp(layers: Layers, x: Array) -> Array:
+    """A ReLU network with a linear last layer: x (..., in)."""
+    xp = x.__array_namespace__()
+    for weight, bias in layers[:-1]:
+        x = x @ weight + bias
+        x = xp.maximum(x, xp.zeros_like(x))
+    weight, bias = layers[-1]
+    return x @ weight + bias
+
+
 def encounter_inputs(observed: Array, lcf: Array) -> Array:
     """What `encounter_network` takes of observations (..., encounters.SIZE) and LCFs (...): (..., INPUTS), each of the
     order of 1."""
@@ -73,12 +83,7 @@ def encounter_network(layers: Mapping[str, Layers], x: Array) -> Array:
     xp = x.__array_namespace__()
     own, people = x[..., :OWN], x[..., OWN:]
     people = people.reshape(*people.shape[:-1], encounters.PEOPLE, PERSON)
-    encoded = people
-    for weight, bias in layers["person"][:-1]:
-        encoded = encoded @ weight + bias
-        encoded = xp.maximum(encoded, xp.zeros_like(encoded))
-    weight, bias = layers["person"][-1]
-    encoded = encoded @ weight + bias
+    encoded = relu_mlp(layers["person"], people)
     attention = people[..., :1] * xp.exp(10.0 * xp.tanh(encoded[..., :1] / 10.0))
     encoded = xp.maximum(encoded[..., 1:], xp.zeros_like(encoded[..., 1:]))
     mean = xp.sum(attention * encoded, axis=-2) / (1.0 + xp.sum(attention, axis=-2))

@@ -25,7 +25,7 @@ from bson.task import TaskConfig
 from macid import assets
 from macid.documents import convert, read_document, shown
 from macid.files import UsageError
-from macid.networks import ENCODER, write_networks
+from macid.networks import ENCODER, relu_mlp, write_networks
 from macid.policy import MOST_RECIPE_BYTES, read_networks
 
 ACTIONS = 2
@@ -83,10 +83,7 @@ class Learned:
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for features (N, FEATURES)."""
         with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
-            for weight, bias in self.layers[:-1]:
-                x = np.maximum(x @ weight + bias, 0.0)
-            weight, bias = self.layers[-1]
-            return self._output(x @ weight + bias)
+            return self._output(relu_mlp(self.layers, x))
 
 
 class Guided:
@@ -116,11 +113,7 @@ class Guided:
         """Actions (N, 2) for vectors (N, bson.guided.SIZE)."""
         person, head = self.layers[: guided.ENCODER_LAYERS], self.layers[guided.ENCODER_LAYERS :]
         with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
-            x = guided.attended(person, x)
-            for weight, bias in head[:-1]:
-                x = np.maximum(x @ weight + bias, 0.0)
-            weight, bias = head[-1]
-            return self._output(x @ weight + bias)
+            return self._output(relu_mlp(head, guided.attended(person, x)))
 
 
 class ScanGuided(Guided):

@@ -20,6 +20,7 @@ from bson.interfaces.functional import BsonFuncEnv
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig, spawn
+from macid.networks import relu_mlp
 
 _CHUNK = 50  # control steps between two looks at whether all episodes are over
 
@@ -32,7 +33,7 @@ class LearnedOnDevice:
     def __init__(self, name: str):
         agent = learned.load(name)()
         self._top = agent.top
-        self._layers = [tuple(map(jnp.asarray, layer)) for layer in agent.layers]
+        self._layers = [(jnp.asarray(weight), jnp.asarray(bias)) for weight, bias in agent.layers]
         self._output = {"clip": lambda x: jnp.clip(x, -1.0, 1.0), "tanh": jnp.tanh}[agent.output]
 
     def begin(self, observation: Any) -> Any:
@@ -48,10 +49,7 @@ class LearnedOnDevice:
         scans = jnp.where(first, scans, longer)
         x = vector(scans, observation, self._top)
         with jax.default_matmul_precision("float32"):
-            for weight, bias in self._layers[:-1]:
-                x = jnp.maximum(x @ weight + bias, 0.0)
-            weight, bias = self._layers[-1]
-            return self._output(x @ weight + bias), (scans, jnp.bool_(False))
+            return self._output(relu_mlp(self._layers, x)), (scans, jnp.bool_(False))
 
 
 def play(

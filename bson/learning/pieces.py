@@ -15,6 +15,7 @@ import numpy as np
 from bson import recurrent
 from macid.geometry import Array
 from macid.learning import ppo
+from macid.networks import relu_mlp
 
 ACTIONS = 2
 
@@ -50,10 +51,7 @@ class Mlp:
 
     def step(self, layers: Any, x: Array, state: Array) -> tuple[Array, Array]:
         """(outputs (N, out), the memory after) of a control step in N worlds; x (N, inputs)."""
-        for weight, bias in layers[:-1]:
-            x = jnp.maximum(x @ weight + bias, 0.0)
-        weight, bias = layers[-1]
-        return x @ weight + bias, state
+        return relu_mlp(layers, x), state
 
     def __call__(self, layers: Any, pieces: Any) -> Array:
         """Outputs (B, P, out)."""
