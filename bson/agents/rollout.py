@@ -38,8 +38,8 @@ def rollout(
     steer: Callable | None = None,
     given: Any = (),
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Places x, y, yaws and speeds (T, N) after each `step` [s] of `commands` (T, N, 2) (v, w), from the `state` (5,) x,
-    y, yaw, v, w of the `robot` (6,); and the commands (T, N, 2) within what the tyres hold.
+    """Places x, y, yaws and speeds (T, N) after each `step` [s] of `commands` (T, N, 2) (v, w), from the `state` (5,)
+    x, y, yaw, v, w of the `robot` (6,); and the commands (T, N, 2) within what the tyres hold.
 
     steer(command, x, y, yaw, *now): changes a step's command (N, 2); now: that step's rows of the arrays `given`."""
     acceleration = robot[2]

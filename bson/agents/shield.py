@@ -6,7 +6,8 @@ At each decision the shield foresees the robot, by its own dynamics, under the p
 others. A command is admissible, as in the dynamic window approach (Fox, Burgard and Thrun, IEEE Robotics and Automation
 Magazine, 1997), where the robot can brake after it and touch nothing. People move meanwhile: where they come nearer,
 to go on for a while before braking may be better, and does as well. How far a command is from being admissible is its
-risk, a time: sooner and closer touches weigh more. The command with the least sum of change and weighted risk is driven.
+risk, a time: sooner and closer touches weigh more. The command with the least sum of change and weighted risk is
+driven.
 
 People are tracked and keep their velocity; who is out of sight behind the robot may also stand where they were seen
 last. Walls are what the scans show, now or, behind the robot, a moment ago.
@@ -19,7 +20,6 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -236,13 +236,14 @@ def _foreseen(config, state, robot, step, commands, people, walls, person_radius
     still = jnp.zeros((3, horizon, 1))
 
     people = jnp.swapaxes(people, 0, 1)
-    near, standing = (gap(robot, *each, people, person_radius) for each in ((x, y, yaw), still))
+    near = gap(robot, x, y, yaw, people, person_radius)
+    standing = gap(robot, still[0], still[1], still[2], people, person_radius)
     into = near < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
     short = jnp.maximum(1.0 - near / (c.person_room + c.person_growth * times), 0.0)
     short = jnp.maximum(short, jax.lax.cummax(jnp.where(into, short, 0.0), axis=0))  # no way leads through somebody
 
     walls = jnp.broadcast_to(walls, (horizon, *walls.shape))
-    near, present = (gap(robot, *each, walls, 0.0) for each in ((x, y, yaw), still))
+    near, present = gap(robot, x, y, yaw, walls, 0.0), gap(robot, still[0], still[1], still[2], walls, 0.0)
     room = jnp.clip(present - c.touch, c.wall_least, c.wall_room + c.wall_room_per_speed * jnp.abs(v))
     lack = jnp.maximum(1.0 - near / room, 0.0)
     into = (near <= c.touch) & (present > c.touch)
