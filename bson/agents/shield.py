@@ -39,9 +39,11 @@ class ShieldConfig(RolloutConfig):
     step: float = 0.1  # of what is foreseen; at least the control period
     horizon: float = 1.2
     hold: float = 0.6  # for so long a command may go on before the robot brakes
-    speeds: tuple = (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # of other commands, in top speeds
+    speeds: tuple = (-0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # of other commands, in top speeds
     rates: tuple = (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0)  # in top yaw rates
     rate_share: float = 0.5  # change of the speed that counts as much as one of the yaw rate, each in top ones
+    back_weight: float = 1.0  # of backing faster than the policy wants, as nobody is seen behind
+    bump: float = 0.3  # a robot that backs and is so much slower than foreseen ran into something unseen [m/s]
     risk_weight: float = 10.0  # [1/s]
     risk_enough: float = 1e-6  # below which a command is admissible [s]
 
@@ -63,6 +65,7 @@ class ShieldConfig(RolloutConfig):
     stuck_way: float = 0.5
     free_way: float = 1.0  # it is free again so far from there
     stuck_risk: float = 50.0  # weight of risk then, against metres [m/s]
+    back_cost: float = 0.5  # metres nearer that a metre of backing costs
     turn_worth: float = 0.3  # metres nearer to the way ahead that a radian of turning towards it is worth
     least_gain: float = 0.1  # where no command brings it so much nearer, it draws back
     back_way: float = 0.5  # by so much
@@ -85,6 +88,7 @@ class Shield:
         eyes = getattr(policy, "eyes", None)
         self._shared = isinstance(eyes, ScanSight)
         self.sight: ScanSight = eyes if isinstance(eyes, ScanSight) else ScanSight(setting)  #: what it sees by
+        self._period = setting.control_period
         self._top, self._robot = setting.top, robot_row(config, setting)
         self._person_radius = np.float32(setting.person_radius)
         self._step = max(config.step, setting.control_period)
@@ -105,6 +109,7 @@ class Shield:
         self._stuck_at: np.ndarray | None = None  # where the robot got stuck, until it is free
         self._backs_from: np.ndarray | None = None  # where it began to draw back, until it has
         self._back = 0.0  # 1 where it draws back ahead, -1 backwards
+        self._foreseen: float | None = None  # its speed now, if it backs and meets nothing [m/s]
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
@@ -112,6 +117,7 @@ class Shield:
         if not self._shared:
             self.sight.look_ahead(observation)
         tried = self._commands(np.clip(wish, -1.0, 1.0))
+        self._feel(float(observation["velocity"][0]))
         people, walls = self._people(), self._near_walls()
         self._note(self.sight.to_goal_bound(np.zeros((1, 2)))[0])
         aim = self.sight.aim if self._stuck_at is None else self._detour(people[:, 0], walls)
@@ -130,6 +136,7 @@ class Shield:
             )
         )
         chosen = self._choose(tried, risk, gain, way)
+        self._expect(float(observation["velocity"][0]), float(tried[chosen, 0] * self._top[0]))
         return tried[chosen] if chosen else wish
 
     def _commands(self, wish):
@@ -149,6 +156,7 @@ class Shield:
         if risk[0] <= c.risk_enough:
             return 0
         change = np.hypot(tried[:, 0] - tried[0, 0], c.rate_share * (tried[:, 1] - tried[0, 1]))
+        change += c.back_weight * np.maximum(min(tried[0, 0], 0.0) - tried[:, 0], 0.0)
         return int(np.argmin(change + c.risk_weight * risk))
 
     def _worth(self, admissible, gain, way):
@@ -189,6 +197,20 @@ class Shield:
             self._been = []
         if self._backs_from is not None and (still or np.hypot(*(place - self._backs_from)) > c.back_way):
             self._backs_from = None
+
+    def _expect(self, speed, command):
+        """Foresees the speed a control period after the `command`, both [m/s], where the robot backs."""
+        most = self._robot[2] * self._period
+        after = speed + np.clip(command - speed, -most, most)
+        self._foreseen = after if max(after, command) < 0.0 else None
+
+    def _feel(self, speed):
+        """Takes what stopped the robot from behind, whose `speed` is now [m/s], for a wall that was out of sight."""
+        if self._foreseen is not None and speed - self._foreseen > self.config.bump:
+            half_length, half_width = self._robot[3:5]
+            across = np.linspace(-half_width, half_width, 5)
+            behind = np.stack([np.full(5, -half_length - self.config.wall_least), across], axis=-1)
+            self._walls = np.concatenate([self._walls, self.sight.to_goal_bound(behind)])
 
     def _people(self):
         """Where the nearest people will be (people, T, 2) [m], robot frame."""
@@ -253,7 +275,7 @@ def _foreseen(config, state, robot, step, commands, people, walls, person_radius
     x, y, yaw = (each[-1, n:] for each in (x, y, yaw))
     off, first = (jnp.abs(_wrap(jnp.arctan2(aim[1] - b, aim[0] - a) - turn)) for a, b, turn in ((x, y, yaw), (0, 0, 0)))
     nearer = jnp.hypot(aim[0], aim[1]) - jnp.hypot(aim[0] - x, aim[1] - y)
-    return risk, nearer + c.turn_worth * (first - off), x
+    return risk, nearer + c.turn_worth * (first - off) - c.back_cost * jnp.maximum(-x, 0.0), x
 
 
 def _wrap(angle):
