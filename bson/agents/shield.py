@@ -165,6 +165,7 @@ class Shield:
         c = self.config
         if self._backs_from is None and not (gain[admissible] > c.least_gain).any():
             self._backs_from = self._been[-1]
+            self._been = self._been[-1:]
             ahead, behind = (np.max(sign * way, where=admissible, initial=0.0) for sign in (1.0, -1.0))
             self._back = 1.0 if ahead > behind else -1.0
         return gain if self._backs_from is None else self._back * way
@@ -186,7 +187,7 @@ class Shield:
         return length * rays[free.argmax()] if free.any() else aim
 
     def _note(self, place):
-        """Notes whether the robot, at `place` (2,), is stuck, or free again, or has drawn back."""
+        """Notes whether the robot, at `place` (2,), is stuck, or free again, or has drawn back or can't."""
         c = self.config
         self._been = [*self._been[-self._stuck_steps :], place]
         still = len(self._been) > self._stuck_steps and np.hypot(*(place - self._been[0])) < c.stuck_way
