@@ -9,6 +9,7 @@ observation: the dict of one world (see bson.interfaces.gym.BsonEnv). action: (2
 torch tensor, which is detached from its gradient and brought to the CPU.
 """
 
+import functools
 import inspect
 from typing import Any, cast
 
@@ -64,6 +65,7 @@ BUILT_IN = {
     "mppi-policy": "bson.agents.mppi_policy:MppiPolicy",
     "mppi-local": "bson.agents.mppi_local:MppiLocal",
     "sfm-planner": "bson.agents.sfm_planner:SfmPlanner",
+    "gru-shield": "bson.agents.shield:GruShield",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 
@@ -85,7 +87,7 @@ def load_agent(name: Any, untrained: bool = False) -> AgentFactory:
     if not isinstance(name, str):
         return _Factory(name, agent_label(name))
     if name in BUILT_IN:
-        return _Factory(AGENTS.load(name), name)
+        return _Factory(AGENTS.load(name), name, untrained)
     found = AGENTS.load(name)
     if isinstance(found, learned.Factory):
         found.untrained = untrained
@@ -109,10 +111,12 @@ def _own(found, name):
 
 
 class _Factory:
-    """The AgentFactory of `found`: a function, which is then the agent of every world, or a class."""
+    """The AgentFactory of `found`: a function, which is then the agent of every world, or a class. untrained: whether
+    a class with an argument of this name is given True for it."""
 
-    def __init__(self, found, name):
+    def __init__(self, found, name, untrained=False):
         self._found, self._name, self._made = found, name, []
+        self._told = {"untrained": True} if untrained and "untrained" in inspect.signature(found).parameters else {}
         self.takes_setting = False
         if inspect.isclass(found):
             try:
@@ -137,7 +141,9 @@ class _Factory:
         with its_code(self._name, f"making a {self._found.__name__}"):
             if not self.takes_setting:
                 return cast(Agent, self._found())
-            return made_for(self._found, setting or Setting.default(self.track, self.sensor))
+            return made_for(
+                functools.partial(self._found, **self._told), setting or Setting.default(self.track, self.sensor)
+            )
 
 
 AGENTS: Kind[AgentFactory] = Kind(

@@ -9,8 +9,8 @@ import numpy as np
 from bson import guided
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
-from bson.agents.scan_map import ScanMap
-from bson.agents.tracking import Tracking, TrackingConfig
+from bson.agents.scan_map import MappedTracking
+from bson.agents.tracking import TrackingConfig
 from bson.agents.ways import Ways
 from bson.features import SCANS, closeness
 from bson.planners import Grid
@@ -131,15 +131,16 @@ class MapSight:
         return self._guide.see(observation, view.pose, view.people)
 
 
-class ScanSight(Tracking):
+class ScanSight(MappedTracking):
     """Sees by the LIDAR alone: people are tracked, and the way leads over a map that the robot makes of the walls that
     it has met; what it has not seen is free, so that a new way is looked for where walls are found on the old one (as
     in D* Lite, Koenig and Likhachev, AAAI 2002)."""
 
     track = "local"
+    aim: np.ndarray  #: the farthest point (2,) in sight of the way ahead, robot frame [m]
 
     def __init__(self, setting: Setting):
-        super().__init__(setting, TrackingConfig())
+        super().__init__(setting, TrackingConfig(), _MAP_SHARE)
         self._setting = setting
         self._replan, self._look_every = setting.steps(_REPLAN), setting.steps(_LOOK)
         self.reset()
@@ -147,21 +148,25 @@ class ScanSight(Tracking):
     def reset(self) -> None:
         """Begins an episode."""
         self.forget()
-        self._map: ScanMap | None = None
         self._ways: Ways | None = None
         self._part: tuple[slice, ...] = ()  # of the map, over which the ways lead
         self._memory, self._planned = Memory(self._setting), 0
 
     def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:  # type: ignore[override]
         """The vector (guided.SIZE,) of one world's observation."""
+        return self._memory.vector(observation, self.look_ahead(observation), self.people)
+
+    def look_ahead(self, observation: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+        """The way ahead as Ways.ahead gives it, in the robot frame, after one world's observation; instead of `see`,
+        for who needs no vector."""
         step = self._steps
         super().see(np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float), observation)
         if self._ways is None or step % self._look_every == 0:
             self._plan(step)
         assert self._ways is not None
         aim, beyond, length = self._ways.ahead(self._position)
-        aim, beyond = (np.stack([aim, beyond]) - self._position) @ self._rotation
-        return self._memory.vector(observation, (aim, beyond, length), self.people)
+        self.aim, beyond = (np.stack([aim, beyond]) - self._position) @ self._rotation
+        return self.aim, beyond, length
 
     def _plan(self, step):
         """Looks for a way where there is none, or walls were found on it, or the last look was long ago."""
@@ -180,12 +185,3 @@ class ScanSight(Tracking):
         grown = grown_by(occupied[self._part], radius, size)
         self._ways = Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))
         self._planned = step
-
-    def _look(self, scan):
-        if self._map is None:
-            setting = self._setting.map
-            self._map = ScanMap(self._scan, _MAP_SHARE * setting.size, setting.resolution, self._position / 2)
-        centres, beams = self._find_people(scan)
-        self._track(centres @ self._rotation.T + self._position, scan)
-        self._map.add(scan, beams, self._position, self._rotation)
-        return centres

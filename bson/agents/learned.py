@@ -65,7 +65,7 @@ class Learned:
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, top: Sequence[float] = TOP):
         self.layers, self.output, self.top = layers, output, top
         self._output = _OUTPUTS[output]
-        self._sight = FeatureSight(top)
+        self.eyes = FeatureSight(top)
 
     @classmethod
     def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Learned":
@@ -74,11 +74,11 @@ class Learned:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        self._sight.reset()
+        self.eyes.reset()
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
-        return self.act(self._sight.see(observation)[None])[0]
+        return self.act(self.eyes.see(observation)[None])[0]
 
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for features (N, FEATURES)."""
@@ -94,7 +94,7 @@ class Guided:
 
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
         self.layers, self._output = tuple(layers), _OUTPUTS[output]
-        self._sight = self.sight(setting)
+        self.eyes = self.sight(setting)
 
     @classmethod
     def of_layers(cls, layers: Any, output: str, setting: Setting) -> "Guided":
@@ -103,11 +103,11 @@ class Guided:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        self._sight.reset()
+        self.eyes.reset()
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
-        return self.act(self._sight.see(observation)[None])[0]
+        return self.act(self.eyes.see(observation)[None])[0]
 
     def act(self, x: np.ndarray) -> np.ndarray:
         """Actions (N, 2) for vectors (N, bson.guided.SIZE)."""
@@ -152,7 +152,7 @@ class Pupil:
 
     def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]], output: str, setting: Setting):
         self.network, self._output = _parts(layers, self.eye), _OUTPUTS[output]
-        self._sight = self.sight(setting)
+        self.eyes = self.sight(setting)
         self.reset(None)
 
     @classmethod
@@ -167,12 +167,12 @@ class Pupil:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode, with nothing remembered."""
-        self._sight.reset()
+        self.eyes.reset()
         self._state = np.zeros((1, recurrent.UNITS), np.float32)
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) in [-1, 1] for one world's observation."""
-        vector, picture = self.look(self._sight, observation)
+        vector, picture = self.look(self.eyes, observation)
         seen = None if picture is None else picture[None]
         with np.errstate(over="ignore", invalid="ignore"):  # `contract.act` refuses an action that is not finite
             action, self._state = recurrent.step(self.network, vector[None], seen, self._state)
@@ -374,6 +374,13 @@ class Factory:
 
     def __call__(self, setting: Setting | None = None) -> Any:
         """An agent for one world of `setting`. Raises Unsuited."""
+        try:
+            return self.made(setting)
+        except Unsuited as error:
+            raise Unsuited(f"Agent '{self._name}' {error}") from None
+
+    def made(self, setting: Setting | None) -> Any:
+        """The same; Unsuited is raised with the reason alone, without the agent's name."""
         if setting is not None:
             self._check(setting)
         if self.kind is Learned:
@@ -383,16 +390,13 @@ class Factory:
     def _check(self, setting):
         """Raises Unsuited where `setting` differs from the setting of training, or, with `untrained`, where the policy
         can't even try."""
-        try:
-            _depth(setting) if getattr(self.kind, "pictures", False) else _lidar(setting)
-        except Unsuited as error:
-            raise Unsuited(f"Agent '{self._name}' {error}") from None
+        _depth(setting) if getattr(self.kind, "pictures", False) else _lidar(setting)
         if self.untrained:
             return
         before, now = _compared(self._trained(), setting)
         if before:
             raise Unsuited(
-                f"Agent '{self._name}' was trained with {', '.join(before)}, not with {', '.join(now)}; "
+                f"was trained with {', '.join(before)}, not with {', '.join(now)}; "
                 "--untrained-setting (in Python: load_agent(name, untrained=True)) lets it try."
             )
 

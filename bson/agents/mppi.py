@@ -31,13 +31,15 @@ import numpy as np
 
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
+from bson.agents.rollout import RolloutConfig, going_on, robot_row, rollout
+from bson.agents.rollout import gap as gap_to
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
 from macid.state import FAR_AWAY, GOAL_RADIUS
 
 
 @dataclass(frozen=True)
-class MppiConfig:
+class MppiConfig(RolloutConfig):
     """What `Mppi` assumes and weighs. Metres, seconds, radians. Costs have the unit of points of the SNS, of 100."""
 
     longest_period: float = 0.5  # between two decisions: a person walks 0.7 m meanwhile
@@ -52,10 +54,6 @@ class MppiConfig:
     guided_angles: tuple = (0.0, 0.25, 0.5, 0.8, 1.2, 1.8)  # to either side of it
     guided_time: float = 0.9  # after which half of them turn back to it
     turn_time: float = 0.25  # in which a guided sequence makes its turn
-
-    acceleration: float = 3.25  # that the tyres give, in top speeds a second, for all shipped robots [1/s]
-    turn_lag: float = 0.1  # time constant of the yaw rate
-    max_lateral_acceleration: float = 2.5  # beyond it the Jackal turns more sharply than commanded [m/s2]
 
     people: int = 24  # number of the nearest people who count
     person_room: float = 0.3  # a gap that is smaller costs
@@ -100,13 +98,11 @@ class Controller:
 
     def __init__(self, setting: Setting, config: MppiConfig):
         self.config, self._period = config, setting.control_period
-        robot = setting.robot
         self.step = max(config.step, setting.control_period)
         self.times = self.step * np.arange(1, config.horizon + 1)  # of the rollout [s]
-        self.radius = robot.radius
+        self.radius = setting.robot.radius
         self._top = setting.top
-        accel = config.acceleration * setting.built_for[0]
-        self._robot = np.array([*setting.top, accel, robot.half_length, robot.half_width, robot.radius], np.float32)
+        self._robot = robot_row(config, setting)
         self._person_radius = np.float32(setting.person_radius)
         times = np.arange(config.horizon) / (config.horizon - 1)
         knots = np.asarray(config.knots) / config.knots[-1]
@@ -205,35 +201,6 @@ def _guided(config):
     return speeds, angles, back, np.array(fixed, np.float32)
 
 
-def _rollout(config, world, commands, guide=None):
-    """Places x, y, yaws and speeds (T, N) under commands (T, N, 2); with `guide` the yaw rates of its sequences follow
-    the field. Also gives the commands."""
-    top_rate, acceleration, step = world.robot[1], world.robot[2], world.step
-    follow = jnp.minimum(1.0, step / config.turn_lag)
-
-    def advance(carried, given):
-        x, y, yaw, v, w = carried
-        command = given[0] if guide is None else given
-        if guide is not None:
-            command, now = given
-            along = guide["heading"][_nearest_node(world, x, y)] + now
-            rate = jnp.clip(_wrap(along - yaw) / guide["time"], -top_rate, top_rate)
-            command = jnp.stack([command[:, 0], jnp.where(guide["is"], rate, command[:, 1])], axis=-1)
-        new_v = v + jnp.clip(command[:, 0] - v, -acceleration * step, acceleration * step)
-        most = config.max_lateral_acceleration / jnp.maximum(jnp.abs(new_v), 1e-3)
-        command = jnp.stack([command[:, 0], jnp.clip(command[:, 1], -most, most)], axis=-1)
-        new_w = w + follow * (command[:, 1] - w)
-        middle = yaw + 0.5 * step * new_w
-        way = 0.5 * step * (v + new_v)
-        state = (x + way * jnp.cos(middle), y + way * jnp.sin(middle), yaw + step * new_w, new_v, new_w)
-        return state, (*state[:4], command)
-
-    n = commands.shape[1]
-    start = tuple(jnp.broadcast_to(value, (n,)) for value in world.state)
-    given = (commands,) if guide is None else (commands, guide["angle"])
-    return jax.lax.scan(advance, start, given)[1]
-
-
 def _costs(config, world, x, y, yaw, v):
     """The costs (N,) of ways (T, N)."""
     c, step = config, world.step
@@ -242,9 +209,9 @@ def _costs(config, world, x, y, yaw, v):
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
     people = jnp.swapaxes(world.people, 0, 1)
-    gap = _gap(world, x, y, yaw, people)
+    gap = gap_to(world.robot, x, y, yaw, people, world.person_radius)
     still = jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1))
-    standing = _gap(world, still[0], still[1], still[2], people)
+    standing = gap_to(world.robot, still[0], still[1], still[2], people, world.person_radius)
     into = gap < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
     least = jax.lax.cummin(jnp.where(into, gap, jnp.inf), axis=0)
     gap = jnp.minimum(gap, least)  # no way leads through somebody
@@ -263,15 +230,6 @@ def _costs(config, world, x, y, yaw, v):
     cost += c.length_weight * (way + left)
     cost += c.back_weight * step * jnp.sum(jnp.maximum(-v, 0.0) * going, axis=0)
     return cost
-
-
-def _gap(world, x, y, yaw, people):
-    """The least gaps (T, N) [m] between the footprint at x, y, yaw (T, N) and `people` (T, K, 2)."""
-    dx, dy = people[:, None, :, 0] - x[..., None], people[:, None, :, 1] - y[..., None]
-    cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
-    ahead, aside = jnp.abs(cos * dx + sin * dy) - world.robot[3], jnp.abs(cos * dy - sin * dx) - world.robot[4]
-    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
-    return jnp.sqrt(jnp.min(squared, axis=-1)) - world.person_radius
 
 
 def _arrived(world, x, y):
@@ -300,13 +258,20 @@ def _improved(config, world, plan, noise, spread):
     dy, dx = jnp.gradient(world.way)
     heading = jnp.arctan2(-dy, -dx).ravel()
     turn_time = jnp.maximum(c.turn_time, 1.25 * world.step)
-    guide = {"is": is_guided, "angle": angle, "heading": heading, "time": turn_time}
-    x, y, yaw, v, commands = _rollout(c, world, commands, guide)
+
+    def steer(command, x, y, yaw, angle):
+        """Guided sequences' yaw rates follow the field."""
+        along = heading[_nearest_node(world, x, y)] + angle
+        rate = jnp.clip(_wrap(along - yaw) / turn_time, -top_rate, top_rate)
+        return jnp.stack([command[:, 0], jnp.where(is_guided, rate, command[:, 1])], axis=-1)
+
+    x, y, yaw, v, commands = rollout(c, world.robot, world.state, world.step, commands, steer, (angle,))
     costs = _costs(c, world, x, y, yaw, v)
     best = jnp.argmin(costs)
     weights = jax.nn.softmax(-(costs - costs[best]) / c.temperature)
     mean = jnp.einsum("n,tnc->tc", weights, commands)
-    x, y, yaw, v, both = _rollout(c, world, jnp.stack([mean, commands[:, best]], axis=1))
+    two = jnp.stack([mean, commands[:, best]], axis=1)
+    x, y, yaw, v, both = rollout(c, world.robot, world.state, world.step, two)
     chosen = jnp.argmin(_costs(c, world, x, y, yaw, v))
     return both[:, chosen], jnp.stack([x, y], axis=-1)[:, chosen]
 
@@ -344,8 +309,3 @@ class Mppi:
     def _predicted(self, near):
         """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""
         return going_on(self._view.people[near], self._view.people_velocity[near], self._controller.times)
-
-
-def going_on(places: np.ndarray, velocities: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Where people at `places` (n, 2) [m] will be (n, T, 2) at `times` (T,) [s] if they keep their `velocities`."""
-    return places[:, None] + times[:, None] * velocities[:, None]

@@ -12,9 +12,10 @@ import numpy as np
 from scipy import ndimage
 
 from bson.agents.contract import Setting
-from bson.agents.mppi import PATCH, Controller, MppiConfig, going_on
-from bson.agents.scan_map import ScanMap
-from bson.agents.tracking import Tracking, TrackingConfig
+from bson.agents.mppi import PATCH, Controller, MppiConfig
+from bson.agents.rollout import going_on
+from bson.agents.scan_map import MappedTracking
+from bson.agents.tracking import TrackingConfig
 from bson.planners import Grid
 from bson.planners.way_field import FAR, solve_field, way_field
 
@@ -28,16 +29,15 @@ class MppiLocalConfig(MppiConfig, TrackingConfig):
     coarse: int = 2  # cells of the map in a side of a cell of the far field
 
 
-class MppiLocal(Tracking):
+class MppiLocal(MappedTracking):
     """The agent: called with one world's observation each control period, it returns an action (2,) in [-1, 1]."""
 
     track, sensor = "local", "lidar2d"
 
     def __init__(self, setting: Setting | None = None, config: MppiLocalConfig = MppiLocalConfig()):
         setting = Setting.default() if setting is None else setting
-        super().__init__(setting, config)
+        super().__init__(setting, config, config.map_share)
         self._controller = _OwnMap(setting, self.config)
-        self._size, self._resolution = setting.map.size, setting.map.resolution
         self._remap = setting.steps(config.remap)
         self.reset(0)
 
@@ -45,7 +45,6 @@ class MppiLocal(Tracking):
         """Begins an episode; samples are drawn from `seed`."""
         self.forget()
         self._controller.reset(seed)
-        self._map = None
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
@@ -60,15 +59,6 @@ class MppiLocal(Tracking):
         places = places[near] @ self._rotation.T + self._position
         people = going_on(places, velocities[near] @ self._rotation.T, self._controller.times)
         return self._controller.decide(np.array([*self._position, self._yaw]), velocity, people)
-
-    def _look(self, scan):
-        if self._map is None:
-            side = self.config.map_share * self._size
-            self._map = ScanMap(self._scan, side, self._resolution, self._position / 2)
-        centres, beams = self._find_people(scan)
-        self._track(centres @ self._rotation.T + self._position, scan)
-        self._map.add(scan, beams, self._position, self._rotation)
-        return centres
 
 
 class _OwnMap(Controller):

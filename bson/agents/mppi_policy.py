@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bson.agents.contract import Setting
-from bson.agents.mppi import Mppi, MppiConfig, going_on
+from bson.agents.mppi import Mppi, MppiConfig
 from bson.agents.orca_oracle import nearest_rows, occupied_boxes
+from bson.agents.rollout import going_on
 from macid import contacts, geometry
 from macid.pedestrians import make_controller
 from macid.state import MAX_YAW_RATE, RADIUS, STALLED, CrowdState, Traits

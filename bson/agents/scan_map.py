@@ -1,9 +1,13 @@
-"""A map that the robot makes itself, of the walls that its LIDAR meets."""
+"""A map that the robot makes itself, of the walls that its LIDAR meets, while it tracks people."""
+
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
+from bson.agents.contract import Setting
 from bson.agents.scan import Scan
+from bson.agents.tracking import Tracking
 from bson.planners import Grid
 
 _FAR = 25.0  # beams that end farther away are too sparse to tell a wall from a gap [m]
@@ -67,3 +71,38 @@ class ScanMap:
 
     def _inside(self, cells):
         return ((cells >= 0) & (cells < self._count.shape)).all(axis=-1)
+
+
+class MappedTracking(Tracking):
+    """Tracking that also keeps a ScanMap of what is nobody, in the goal-bound frame. share: the side of the map, in
+    sides of the world's."""
+
+    _seen: tuple[np.ndarray, np.ndarray]  # the last scan (beams,) [m], and which of its beams (beams,) meet people
+
+    def __init__(self, setting: Setting, config: Any, share: float):
+        super().__init__(setting, config)
+        self._side, self._resolution = share * setting.map.size, setting.map.resolution
+
+    def forget(self) -> None:
+        """Forgets the last episode."""
+        super().forget()
+        self._map: ScanMap | None = None
+
+    def _look(self, scan):
+        if self._map is None:
+            self._map = ScanMap(self._scan, self._side, self._resolution, self._position / 2)
+        centres, beams = self._find_people(scan)
+        self._track(centres @ self._rotation.T + self._position, scan)
+        self._map.add(scan, beams, self._position, self._rotation)
+        self._seen = scan, beams
+        return centres
+
+    def new_walls(self, sector: float, reach: float) -> np.ndarray | None:
+        """The nearest point (n, 2) [m], robot frame, of what is nobody in each `sector` [rad] of this step's scan that
+        has one within `reach` [m]; None where this step has no scan."""
+        if self._old:
+            return None
+        scan, people = self._seen
+        scan = np.where(people, np.inf, scan)
+        nearest = self._scan.nearest(scan, self._scan.beams_in(sector))
+        return self._scan.points(scan, nearest[scan[nearest] < reach])

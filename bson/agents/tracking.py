@@ -82,6 +82,28 @@ class Tracking:
         places = self._seen_at + self._old * self._period * self._seen_velocity if self._old else self._seen_at
         return (places - self._position) @ self._rotation, self._seen_velocity @ self._rotation
 
+    @property
+    def left_behind(self) -> np.ndarray:
+        """Where (n, 2) those of `people` were seen last whom the robot has lost from its scanner's field, robot frame
+        [m]."""
+        lost = self._unseen > 0
+        scans = self._unseen[lost, None]
+        last = self.to_robot(self._seen_at[lost] - scans * self._scan.period * self._seen_velocity[lost])
+        return last[~self.in_field(last)]
+
+    def in_field(self, points: np.ndarray) -> np.ndarray:
+        """Whether `points` (n, 2) [m], robot frame, are in the scanner's field, however far: (n,) bool."""
+        offset = points - self._scan.place
+        return self._scan.sees(np.arctan2(offset[:, 1], offset[:, 0]))
+
+    def to_robot(self, points: np.ndarray) -> np.ndarray:
+        """`points` (n, 2) [m] of the goal-bound frame in the robot frame."""
+        return (points - self._position) @ self._rotation
+
+    def to_goal_bound(self, points: np.ndarray) -> np.ndarray:
+        """`points` (n, 2) [m] of the robot frame in the goal-bound frame."""
+        return points @ self._rotation.T + self._position
+
     def _look(self, scan):
         """Takes a new `scan` (beams,) [m] into the people believed in; returns the walls (sectors, 2) [m], robot
         frame."""

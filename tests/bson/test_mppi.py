@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from bson.agents import Setting
-from bson.agents.mppi import Mppi, going_on
+from bson.agents.mppi import Mppi
 from bson.agents.mppi_local import MppiLocal
 from bson.agents.mppi_policy import MppiPolicy
+from bson.agents.rollout import going_on
 from bson.agents.scan import Scan
 from bson.agents.scan_map import ScanMap
 from bson.agents.sfm_planner import SfmPlanner
