@@ -89,7 +89,7 @@ def test_attention_is_the_same_in_numpy_jax_and_torch():
 def test_a_recurrent_network_is_the_same_in_numpy_jax_and_torch_and_for_one_and_many(eye):
     import torch
 
-    from bson.learning.dagger import Network
+    from bson.learning.recurrent_network import Network
 
     rng = np.random.default_rng(1)
     torch.manual_seed(1)
