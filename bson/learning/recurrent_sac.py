@@ -47,6 +47,7 @@ class RecurrentSacConfig:
     """Hyperparameters; with q above 1, TAC's."""
 
     learning_rate: float = 5e-4
+    actor_learning_rate: float = 5e-4
     gamma: float = 0.99  # per control step
     tau: float = 0.005  # share by which the target critics follow, each time
     alpha: float = 0.02  # weight of the entropy, to begin with
@@ -74,8 +75,9 @@ class RecurrentSacConfig:
             raise ValueError(f"buffer must be at least piece ({self.piece}), not {self.buffer}.")
         if not self.q >= 1:
             raise ValueError(f"q must be at least 1, not {self.q}.")
-        if not (self.alpha > 0 and self.learning_rate > 0):
-            raise ValueError("alpha and learning_rate must be above 0.")
+        for name in ("alpha", "learning_rate", "actor_learning_rate"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, not {getattr(self, name)}.")
 
     @property
     def target(self) -> float:
@@ -251,7 +253,8 @@ class RecurrentSac:
             "critic": list(self.critic.parameters()),
             "temperature": [self.log_alpha],
         }
-        self._optimizers = {name: torch.optim.Adam(own, config.learning_rate) for name, own in self._own.items()}
+        rates = dict.fromkeys(self._own, config.learning_rate) | {"actor": config.actor_learning_rate}
+        self._optimizers = {name: torch.optim.Adam(own, rates[name]) for name, own in self._own.items()}
         self.updates, self.learned = 0, 0  #: done; gradient steps
         dtype = np.float16 if eye == "picture" else np.float32
         capacity = config.buffer // config.piece

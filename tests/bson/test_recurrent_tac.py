@@ -483,7 +483,7 @@ def test_the_targets_follow_the_critics(tmp_path):
         ("buffer", 5, r"buffer must be at least piece \(32\), not 5"),
         ("q", 0.5, "q must be at least 1, not 0.5"),
         ("leg", 0, "leg must be at least 1, not 0"),
-        ("alpha", 0.0, "alpha and learning_rate must be above 0"),
+        ("alpha", 0.0, "alpha must be above 0, not 0.0"),
     ],
 )
 def test_hyperparameters_that_are_none_are_refused(field, value, told):
