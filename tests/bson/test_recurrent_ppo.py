@@ -213,10 +213,6 @@ def test_a_training_begins_with_the_policy_that_it_is_given(tmp_path):
     ("arguments", "told"),
     [
         (
-            {"algo": "bc", "inputs": "guided"},
-            "bc learns with --inputs of scans, gru, gru-map, .* gru-scans, not guided",
-        ),
-        (
             {"algo": "bc", "inputs": "gru", "start": "gru"},
             "--start is for ppo, sac, tac with --inputs of gru, .* not bc",
         ),
