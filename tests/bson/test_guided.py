@@ -24,7 +24,7 @@ from bson.task import TaskConfig
 from macid.files import UsageError
 from macid.layout import maze_layout
 
-OWN = "bson.learning.algorithms.SacConfig"  # as if it was a user's own algorithm
+OWN = "bson.learning.algorithms:SacConfig"  # as if it was a user's own algorithm
 SMALL = {"map_size": 20.0, "num_pedestrians": 4, "goal_distance": (8.0, 14.0)}
 
 
