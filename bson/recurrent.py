@@ -10,7 +10,8 @@ The unit remembers what left the robot's view, and how what is seen moves. A net
 | HEAD | layers with ReLU between, from the unit's state to the action |
 
 A robot whose input is bson.features has no eye. The functions take NumPy or JAX arrays;
-bson.learning.dagger has the torch twin, bson.learning.pieces trains them by PPO.
+bson.learning.recurrent_network has the torch twin, which learns by imitation and by SAC and TAC;
+bson.learning.pieces trains them by PPO.
 """
 
 from collections.abc import Mapping
@@ -55,10 +56,10 @@ def size(eye: str) -> int:
 
 
 def parted(eye: str, x: Array) -> tuple[Array, Array | None]:
-    """What `see` takes, of x (N, size(eye)): vectors, and the pictures behind them."""
+    """What `see` takes, of x (..., size(eye)): vectors, and the pictures behind them."""
     if eye != "picture":
         return x, None
-    return x[:, :MOTION], x[:, MOTION:].reshape(-1, *PICTURE)
+    return x[..., :MOTION], x[..., MOTION:].reshape(*x.shape[:-1], *PICTURE)
 
 
 def picture(depth: Array) -> Array:

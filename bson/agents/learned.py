@@ -139,8 +139,9 @@ class CameraSight:
 
 
 class Pupil:
-    """A recurrent agent for one world, which learns by imitation (bson.learning.dagger) or PPO
-    (bson.learning.recurrent_ppo): what it sees is `bson.guided` by the LIDAR alone.
+    """A recurrent agent for one world, which learns by imitation (bson.learning.dagger), PPO
+    (bson.learning.recurrent_ppo), or SAC and TAC (bson.learning.recurrent_sac): what it sees is `bson.guided` by the
+    LIDAR alone.
 
     layers: those of bson.recurrent's parts, EYE, MEMORY and HEAD, one after the other.
     """

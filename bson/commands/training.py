@@ -77,7 +77,11 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
     """Adds the commands to `commands`, argparse's subparsers; `defaults`: what each is made with."""
     train = commands.add_parser("train", help="train a robot: PPO, SAC, TAC or BC (extra `agents`)", **defaults)
     train.add_argument(
-        "--algo", type=name, default="ppo", help="ppo, sac, tac, or bc, which learns from the shipped ppo"
+        "--algo",
+        type=name,
+        default="ppo",
+        help="ppo, sac, tac, or bc, which learns from the shipped ppo; with a memory, sac and tac keep the last "
+        "100,000 steps for replay, at most 0.3 GB, in checkpoints too",
     )
     train.number(
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
@@ -106,7 +110,7 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         "--inputs",
         type=name,
         default="scans",
-        help="what the robot sees: scans; guided: a planner's way and people, on the map; with a memory (bc, ppo): gru "
+        help="what the robot sees: scans; guided: a planner's way and people, on the map; with a memory: gru "
         "(a map of its own, people by the LIDAR), gru-map, camera, gru-scans; with --engine warp: scans, gru-scans",
     )
     train.add_argument(
@@ -123,7 +127,11 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         help="of bc with a memory: whom it imitates (default: tac)",
     )
     train.add_argument(
-        "--start", type=name, default=None, metavar="POLICY", help="of ppo with a memory: begin from it, as gru"
+        "--start",
+        type=name,
+        default=None,
+        metavar="POLICY",
+        help="of ppo, sac and tac with a memory: begin from it, as gru",
     )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)

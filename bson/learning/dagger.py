@@ -12,21 +12,19 @@ import json
 from collections.abc import Callable
 from typing import Annotated, Any
 
-import gymnasium
 import msgspec
 import numpy as np
 import torch
 
-from bson import guided, recurrent
+from bson import recurrent
 from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.agents.learned import Pupil
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
-from bson.learning.algorithms import linear_layers
-from bson.learning.attention import PeopleAttention
 from bson.learning.draw import Draw, training_seed
 from bson.learning.keeper import Keeper, collect_keeper, restore_keeper, wanted_keeper
-from bson.recurrent import CHANNELS, EYE, HEAD, MEMORY, PICTURE, SEEN, UNITS
+from bson.learning.recurrent_network import Network
+from bson.recurrent import PICTURE, UNITS
 from bson.task import TaskConfig
 from macid.layout import NoFreeSpace
 from macid.learning.curves import check_arrays
@@ -53,60 +51,6 @@ class Episodes:
     vector: list[np.ndarray] = dataclasses.field(default_factory=list)
     picture: list[np.ndarray] = dataclasses.field(default_factory=list)
     wanted: list[np.ndarray] = dataclasses.field(default_factory=list)
-
-
-class Network(torch.nn.Module):
-    """The torch twin of bson.recurrent."""
-
-    def __init__(self, eye: str):
-        super().__init__()
-        self.picture = eye == "picture"
-        self.eye: Any = torch.nn.Module() if self.picture else torch.nn.Identity()
-        if self.picture:
-            first, second = CHANNELS
-            self.eye.first = torch.nn.Conv2d(1, first, 3, 2, 1)
-            self.eye.second = torch.nn.Conv2d(first, second, 3, 2, 1)
-            self.eye.third = torch.nn.Linear(second * (PICTURE[0] // 4) * (PICTURE[1] // 4), SEEN)
-        elif eye == "people":
-            self.eye = PeopleAttention(gymnasium.spaces.Box(-10.0, 10.0, (guided.SIZE,), np.float32))
-        self.memory = torch.nn.GRU(recurrent.shapes(eye)[MEMORY][0][0], UNITS)
-        self.head = torch.nn.Sequential(torch.nn.Linear(UNITS, UNITS), torch.nn.ReLU(), torch.nn.Linear(UNITS, 2))
-
-    def forward(self, vector: torch.Tensor, pictures: torch.Tensor | None, state: Any = None) -> Any:
-        """(actions (T, N, 2) before clipping, the last state) of vectors (T, N, ...) and pictures (T, N, *PICTURE)."""
-        if pictures is None:
-            x = self.eye(vector)
-        else:
-            seen = torch.relu(self.eye.first(pictures.flatten(0, 1)[:, None]))
-            seen = torch.relu(self.eye.second(seen)).permute(0, 2, 3, 1).flatten(1)  # rows, columns, channels
-            seen = torch.relu(self.eye.third(seen))
-            x = torch.cat([vector, seen.unflatten(0, vector.shape[:2])], dim=-1)
-        states, last = self.memory(x, state)
-        return self.head(states), last
-
-    def parts(self) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
-        """The network as bson.recurrent takes it."""
-
-        def array(tensor):
-            return tensor.detach().numpy().copy()
-
-        def kernel(layer):
-            weight = layer.weight.permute(2, 3, 1, 0)  # rows, columns, in, out
-            return array(weight.reshape(-1, weight.shape[-1])), array(layer.bias)
-
-        def linear(layer):
-            return array(layer.weight.T), array(layer.bias)
-
-        if self.picture:
-            eye = [kernel(self.eye.first), kernel(self.eye.second), linear(self.eye.third)]
-        else:
-            eye = linear_layers(self.eye)
-        memory = self.memory
-        gates = [
-            (array(memory.weight_ih_l0.T), array(memory.bias_ih_l0)),
-            (array(memory.weight_hh_l0.T), array(memory.bias_hh_l0)),
-        ]
-        return {EYE: eye, MEMORY: gates, HEAD: [linear(self.head[0]), linear(self.head[2])]}
 
 
 def gather(

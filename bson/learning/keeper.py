@@ -181,16 +181,17 @@ def validation(config: Any) -> list[tuple[TaskConfig, list[int]]]:
 
 
 def started(config: Any) -> Any:
-    """The parts of the policy `config.start`, with which a recurrent robot's PPO begins; None for a new one. Raises
+    """The parts of the policy `config.start`, with which a recurrent robot begins to learn; None for a new one. Raises
     UsageError where it is of another kind, or from another setting."""
     if config.start is None:
         return None
     policy, kind = learned.load(config.start), KINDS[config.inputs]
-    if policy.kind is not kind or policy.output != "clip":
+    outputs = ("clip",) if config.algo == "ppo" else ("clip", "tanh")  # PPO's actions are clipped
+    if policy.kind is not kind or policy.output not in outputs:
         inputs = next(name for name, each in KINDS.items() if each is policy.kind)
         raise UsageError(
             f"--start {config.start}: its inputs are {inputs}, its output is {policy.output}; it must be a policy with "
-            f"--inputs {config.inputs} and the output clip."
+            f"--inputs {config.inputs} and the output {' or '.join(outputs)}."
         )
     try:
         return policy(Setting.of(config.setting, make_track(kind.track, kind.sensor))).network

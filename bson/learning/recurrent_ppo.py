@@ -95,6 +95,7 @@ class RecurrentPpo:
             parameters, self._optimizer.init(parameters), jax.random.key_data(key), jnp.int32(0)
         )  #: its state
         self.updates = 0  #: done
+        self.output = "clip"  #: of the policy's file
         self._act = jax.jit(functools.partial(pieces.act, self._network))
         self._judged = jax.jit(functools.partial(pieces.judged, self._network))
         self._learn = jax.jit(

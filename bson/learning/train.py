@@ -27,6 +27,8 @@ from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.keeper import SCORES, BestKeeper, noted_config, started
 from bson.learning.recurrent_ppo import Noted as NotedPpo
 from bson.learning.recurrent_ppo import RecurrentPpo, RecurrentPpoConfig
+from bson.learning.recurrent_sac import Noted as NotedSac
+from bson.learning.recurrent_sac import RecurrentSac, RecurrentSacConfig
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from macid import start
@@ -48,9 +50,28 @@ from macid.policy import MOST_RECIPE_BYTES
 from macid.registry import Kind
 
 ALGORITHMS: dict[str, Any] = {"ppo": PpoConfig(), "sac": SacConfig(), "tac": SacConfig(q=1.2), "bc": BcConfig()}
-# Configurations for robots with a recurrent network; STARTED is PPO's from another policy.
-RECURRENT: dict[str, Any] = {"bc": DaggerConfig(), "ppo": RecurrentPpoConfig()}
-STARTED = RecurrentPpoConfig(learning_rate=1e-4, final_learning_rate=1e-5, log_std=-1.5, warmup=16)
+# Configurations for robots with a recurrent network, and for those that go on from another policy.
+RECURRENT: dict[str, Any] = {
+    "bc": DaggerConfig(),
+    "ppo": RecurrentPpoConfig(),
+    "sac": RecurrentSacConfig(),
+    "tac": RecurrentSacConfig(q=1.2),
+}
+# Targets follow ten times as fast as usual: the critics have to come to the values of a policy that is good already.
+_STARTED_SAC = RecurrentSacConfig(
+    actor_learning_rate=1e-4,
+    tau=0.05,
+    alpha=0.005,
+    log_std=-2.0,
+    learning_starts=4096,
+    steps_per_update=16,
+    warmup=1000,
+)
+STARTED: dict[str, Any] = {
+    "ppo": RecurrentPpoConfig(learning_rate=1e-4, final_learning_rate=1e-5, log_std=-1.5, warmup=16),
+    "sac": _STARTED_SAC,
+    "tac": dataclasses.replace(_STARTED_SAC, q=1.2),
+}
 _PAPER_SAC = SacConfig(hidden=(1024, 1024), alpha=0.2, joint=True)
 # Named sets of hyperparameters: {preset: {algorithm: configuration}}.
 PRESETS = {
@@ -85,18 +106,18 @@ PUPILS = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupi
 
 def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans", start: str | None = None) -> Any:
     """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset,
-    and bc and ppo in the preset "fast" have RECURRENT for the `inputs` PUPILS, ppo from a policy `start` has STARTED.
+    and those of RECURRENT have that in the preset "fast" for the `inputs` PUPILS, or STARTED from a policy `start`.
     Raises UsageError, naming the valid choices."""
     if preset not in PRESETS:
         raise UsageError(f"Unknown preset {shown(preset)}. Choose one of {', '.join(PRESETS)}.")
     usual = KIND.load(algo)
     if algo in RECURRENT and preset == "fast" and inputs in PUPILS:
-        return STARTED if algo == "ppo" and start is not None else RECURRENT[algo]
+        return STARTED.get(algo, RECURRENT[algo]) if start is not None else RECURRENT[algo]
     return PRESETS[preset].get(algo, usual)
 
 
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
-_REMEMBERING = DaggerConfig | RecurrentPpoConfig
+_REMEMBERING = DaggerConfig | RecurrentPpoConfig | RecurrentSacConfig
 _RECENT = 100  # number of ended episodes in the curve's means
 
 
@@ -114,7 +135,7 @@ class TrainConfig:
     hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
     inputs: str = "scans"  # what the robot sees, of bson.agents.learned.KINDS
     draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
-    start: str | None = None  # of ppo with a recurrent robot: the policy from which it goes on
+    start: str | None = None  # of ppo, sac and tac with a recurrent robot: the policy from which it goes on
 
     def __post_init__(self):
         usual = hyperparameters(self.algo, inputs=self.inputs, start=self.start)
@@ -132,13 +153,14 @@ class TrainConfig:
                 others = ", ".join(name for name in INPUTS if name != "scans")
                 raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
         others = [name for name in INPUTS if name not in PUPILS]
-        fits = {"bc": ["scans", *PUPILS], "ppo": list(INPUTS)}.get(self.algo, others)
+        fits = {"bc": ["scans", *PUPILS]} | {algo: list(INPUTS) for algo in STARTED}
+        fits = fits.get(self.algo, others)
         if self.inputs not in fits:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")
         remembers = self.inputs in PUPILS
-        if self.start is not None and not (remembers and self.algo == "ppo"):
-            told = ", ".join(PUPILS)
-            raise UsageError(f"--start is for ppo with --inputs of {told}, not {self.algo} on {self.inputs}.")
+        if self.start is not None and not (remembers and self.algo in STARTED):
+            told = f"{', '.join(STARTED)} with --inputs of {', '.join(PUPILS)}"
+            raise UsageError(f"--start is for {told}, not {self.algo} on {self.inputs}.")
         if self.hyperparameters is None:
             object.__setattr__(self, "hyperparameters", usual)
         fit = type(usual) if remembers else object
@@ -286,9 +308,9 @@ def train(
     episodes or of a validation. resume: goes on from the checkpoint, if there is one. Everything is restored but the
     worlds, which begin new episodes, and the running means of the curve. Ctrl-C leaves a checkpoint, once there is
     something to keep. BC has no checkpoints: it begins anew, unless it was done. Recurrent robots have a checkpoint
-    after each round of imitation, or each leg of PPO, and go on from there as if never interrupted. Raises UsageError
-    if the folder has a training of another configuration, if it has one of this configuration and `resume` is not set,
-    or if another process trains there.
+    after each round of imitation, or each leg of others, and go on from there as if never interrupted. Raises
+    UsageError if the folder has a training of another configuration, if it has one of this configuration and `resume`
+    is not set, or if another process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
@@ -308,7 +330,7 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
     if is_done(config, folder):
         return folder
     keeper = BestKeeper(config, folder)
-    if isinstance(config.hyperparameters, RecurrentPpoConfig):
+    if isinstance(config.hyperparameters, RecurrentPpoConfig | RecurrentSacConfig):
         return _train_recurrent(config, keeper, show, held)
     imitates = isinstance(config.hyperparameters, BcConfig | DaggerConfig)
     model = None if imitates else _restored(keeper)
@@ -447,13 +469,19 @@ def _train_pupil(config, keeper, show):
 
 
 def _train_recurrent(config, keeper, show, held):
-    """PPO with a memory, in legs, with a checkpoint after each."""
+    """PPO, SAC and TAC with a memory, in legs, with a checkpoint after each."""
     kind, chosen, seed = INPUTS[config.inputs], config.hyperparameters, 10_000_000 * (config.seed + 1)
+    begun, more = started(config), {}
+    learner: Any = RecurrentPpo
+    noted = NotedPpo
+    if isinstance(chosen, RecurrentSacConfig):
+        learner, noted = RecurrentSac, NotedSac
+        more = {"output": learned.load(config.start).output} if config.start else {}
     draw = load_draw(config.draw) if config.draw else None
     env = GuidedVecEnv(config.num_envs, seed, draw, config.setting, pupil=kind)
     with contextlib.closing(env):
-        training = RecurrentPpo(env, kind.eye, config.steps, chosen, config.seed, seed, started(config))
-        if saved := read_checkpoint(keeper.folder, NotedPpo):
+        training: Any = learner(env, kind.eye, config.steps, chosen, config.seed, seed, begun, **more)
+        if saved := read_checkpoint(keeper.folder, noted):
             try:
                 keeper.restore(training.restore(*saved))
             except ValueError as error:
@@ -468,7 +496,7 @@ def _train_recurrent(config, keeper, show, held):
                 write_checkpoint(keeper.folder, *training.collect(keeper.state))
                 validated = keeper.validations[-1]["steps"] if keeper.validations else 0
                 if steps > validated and (training.done or steps // config.validate_every > len(keeper.validations)):
-                    show(steps, keeper.validate(training.layers, "clip", steps), validation=True)
+                    show(steps, keeper.validate(training.layers, training.output, steps), validation=True)
                     write_checkpoint(keeper.folder, *training.collect(keeper.state))
                     keeper.write(steps)
             if training.done:

@@ -11,12 +11,20 @@ import torch
 from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
-_EPSILON = 1e-6  # the same as in stable-baselines3's squashed Gaussian
+EPSILON = 1e-6  # the same as in stable-baselines3's squashed Gaussian
 
 
 def log_q(log_x: torch.Tensor, q: float) -> torch.Tensor:
     """ln_q x = (x^(q-1) - 1) / (q - 1) of ln x, elementwise; ln x at q = 1. For q > 1 it is at least -1 / (q - 1)."""
     return log_x if q == 1.0 else torch.expm1((q - 1.0) * log_x) / (q - 1.0)
+
+
+def entropic(log_density: torch.Tensor, q: float, joint: bool) -> torch.Tensor:
+    """What stands in the place of log pi(a|s): the sum of ln_q of each dimension's density, or, `joint`, ln_q of their
+    product. log_density: of the action's dimensions (..., 2); returns (...)."""
+    if joint:
+        return log_q(log_density.sum(dim=-1), q)
+    return log_q(log_density, q).sum(dim=-1)
 
 
 class TsallisActor(Actor):
@@ -33,10 +41,8 @@ class TsallisActor(Actor):
         action = drawn.actions_from_params(mean, log_std)
         assert drawn.gaussian_actions is not None  # kept when the action was drawn
         gaussian = drawn.distribution.log_prob(drawn.gaussian_actions)
-        log_density = gaussian - torch.log(1.0 - action**2 + _EPSILON)
-        if self.joint:
-            return action, log_q(log_density.sum(dim=-1), self.q)
-        return action, log_q(log_density, self.q).sum(dim=-1)
+        log_density = gaussian - torch.log(1.0 - action**2 + EPSILON)
+        return action, entropic(log_density, self.q, self.joint)
 
 
 class TsallisPolicy(SACPolicy):

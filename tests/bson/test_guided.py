@@ -24,6 +24,7 @@ from bson.task import TaskConfig
 from macid.files import UsageError
 from macid.layout import maze_layout
 
+OWN = "bson.learning.algorithms:SacConfig"  # as if it was a user's own algorithm
 SMALL = {"map_size": 20.0, "num_pedestrians": 4, "goal_distance": (8.0, 14.0)}
 
 
@@ -89,7 +90,7 @@ def test_attention_is_the_same_in_numpy_jax_and_torch():
 def test_a_recurrent_network_is_the_same_in_numpy_jax_and_torch_and_for_one_and_many(eye):
     import torch
 
-    from bson.learning.dagger import Network
+    from bson.learning.recurrent_network import Network
 
     rng = np.random.default_rng(1)
     torch.manual_seed(1)
@@ -468,7 +469,7 @@ def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path,
             {"algo": "bc", "inputs": "guided"},
             "bc learns with --inputs of scans, gru, gru-map, camera, gru-scans, not guided",
         ),
-        ({"algo": "sac", "inputs": "gru"}, "sac learns with --inputs of scans, guided, guided-scans, not gru"),
+        ({"algo": OWN, "inputs": "gru"}, f"{OWN} learns with --inputs of scans, guided, guided-scans, not gru"),
         ({"inputs": "eyes"}, "inputs must be one of"),
         ({"draw": "standard"}, "A draw is for robots with --inputs of guided"),
         ({"inputs": "guided", "draw": "nowhere"}, "Unknown draw 'nowhere'"),
