@@ -130,11 +130,11 @@ def _warp():
     if warp.__version__ != wanted:
         raise RuntimeError(f"{name} is {warp.__version__}, not {wanted}, the version for this mujoco-mjx")
     importlib.import_module("mujoco.mjx.third_party.mujoco_warp")
-    if warp.is_cuda_available():
-        return f"{warp.__version__}, on {', '.join(device.name for device in warp.get_cuda_devices())}"
-    if _graphics_cards() is not None:
+    if _graphics_cards() is None:  # not asked of Warp, which prints a remark on that
+        return f"{warp.__version__}, on the CPU (for tests: it is slow there)"
+    if not warp.is_cuda_available():
         raise RuntimeError(f"{name} {warp.__version__} does not find the GPU: its driver may be too old")
-    return f"{warp.__version__}, on the CPU (for tests: it is slow there)"
+    return f"{warp.__version__}, on {', '.join(device.name for device in warp.get_cuda_devices())}"
 
 
 def _engines():

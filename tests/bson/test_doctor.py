@@ -127,7 +127,7 @@ def test_a_driver_that_does_not_work_is_told(diagnose, nvidia, lines, code, told
 def test_another_version_of_warp_is_told(diagnose, monkeypatch):
     warp = pytest.importorskip("warp")
     well, (line,) = diagnose("warp")
-    assert well and line.split()[:3] == ["ok", "warp", warp.__version__]
+    assert well and line.split()[:2] == ["ok", "warp"] and warp.__version__ in line
     monkeypatch.setattr(warp, "__version__", "0.9.0")
     well, (line,) = diagnose("warp")
     assert well and "warp-lang is 0.9.0, not 1." in line and line.split()[0] == "without"
