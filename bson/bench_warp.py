@@ -141,15 +141,20 @@ def measure_training(
 
 
 def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None = None) -> dict[str, Any]:
-    """How fast the learned policy `score` is scored on the suite `paper`, and its SNS in each episode."""
+    """How fast the agent `score` is scored on the suite `paper`, and its SNS in each episode."""
+    from bson.agents import load_agent
+    from bson.episodes.tracks import make_track
+    from bson.evaluation.device_agents import device_agent
     from bson.evaluation.metrics import measure as metrics_of
-    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.on_device import play
     from bson.evaluation.suites import load_suite
     from bson.simulation.engines.warp import WarpConfig
 
-    suite = load_suite("paper")
+    suite, factory = load_suite("paper"), load_agent(score)
+    config, track = suite.cells[0].config, (factory.track, factory.sensor)
     begin = time.perf_counter()
-    played = play(LearnedOnDevice(score), suite.cells[0].config, suite.drawn(episodes, 0), WarpConfig(**(engine or {})))
+    agent = device_agent(score, factory, config, make_track(*track), score)
+    played = play(agent, config, track, suite.drawn(episodes, 0), WarpConfig(**(engine or {})))
     seconds = time.perf_counter() - begin
     measured = [metrics_of(episode) for episode in played]
     return {

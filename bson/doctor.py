@@ -91,7 +91,10 @@ def _graphics_cards():
         return f"NVIDIA's driver {' '.join(_DRIVER.read_text().split()[:9])}"
     try:
         told = subprocess.run(
-            [asked, f"--query-gpu={_FIELDS}", "--format=csv,noheader"], capture_output=True, text=True, timeout=_PATIENCE
+            [asked, f"--query-gpu={_FIELDS}", "--format=csv,noheader"],
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise RuntimeError(f"nvidia-smi does not answer ({error})") from None
@@ -218,7 +221,12 @@ CHECKS = (
     ("assets", _assets, True, "reinstall the package"),
     ("physics", _physics, True, "reinstall mujoco>=3.17,<4"),
     ("jax", _jax, True, "reinstall jax"),
-    ("gpu", _gpu, False, "install JAX for it: pip install 'jax[cuda12]', of the same version; leave JAX_PLATFORMS unset"),
+    (
+        "gpu",
+        _gpu,
+        False,
+        "install JAX for it: pip install 'jax[cuda12]', of the same version; leave JAX_PLATFORMS unset",
+    ),
     ("warp", _warp, False, "pip install 'bson-macid[warp]'"),
     ("engines", _engines, True, "as jax"),
     ("sensors", _sensors, True, "reinstall mujoco>=3.17,<4"),

@@ -68,7 +68,7 @@ def _add_evaluation(command: Parser, out: str, suite: str):
         "--engine",
         default="native",
         choices=("native", "warp"),
-        help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for learned policies",
+        help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for JAX functions",
     )
     command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
     add_passphrase(command)

@@ -22,6 +22,7 @@ from bson.simulation.scene import build_spec
 from bson.task import TaskConfig, controller
 from macid import contacts as crowd_contacts
 from macid import geometry
+from macid.files import UsageError
 from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 COLLISIONS = ("collisions", *contacts.COUNTERS)
@@ -61,6 +62,7 @@ class BatchedWorld:
 
     def __init__(self, config: TaskConfig, mounted: Any = (), nworld: int = 1, engine: Any = None):
         self.config, self.sensors, self.nworld = config, tuple(mounted), nworld
+        check_sensors(self.sensors)
         spec = build_spec(config, self.sensors, hidden=True)
         self.engine = WarpEngine(spec, config.people, engine)
         self.model = model = self.engine.model
@@ -261,6 +263,16 @@ def _mounted(model, body, place, quaternion, base="robot"):
     return place, turn
 
 
+def check_sensors(mounted: Any) -> None:
+    """Raises UsageError where one of the sensors `mounted` is none of those that are formulas here."""
+    for sensor in mounted:
+        if not isinstance(sensor, (sensors.Imu, sensors.Lidar, sensors.RgbCamera, sensors.DepthCamera)):
+            raise UsageError(
+                f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, "
+                "DepthCamera."
+            )
+
+
 def _bind(model, sensor, config):
     """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, the dict of
     pictures) -> reading."""
@@ -281,11 +293,8 @@ def _bind(model, sensor, config):
             return jnp.clip(distance, sensor.range_min, sensor.range_max)
 
         return read
-    if isinstance(sensor, (sensors.RgbCamera, sensors.DepthCamera)):
-        return _bind_camera(model, sensor)
-    raise ValueError(
-        f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, DepthCamera."
-    )
+    check_sensors([sensor])
+    return _bind_camera(model, sensor)
 
 
 def _bind_camera(model, sensor):

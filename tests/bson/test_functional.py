@@ -314,17 +314,19 @@ def test_noise_and_rates_are_those_of_the_sensors():
 
 @pytest.mark.slow
 def test_a_shipped_policy_scores_alike_on_a_device():
+    from bson.evaluation.device_agents import device_agent
     from bson.evaluation.metrics import measure
-    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.on_device import play
     from bson.evaluation.play import run_episodes
 
     config = TaskConfig(
         num_pedestrians=3, pedestrian_model="standing", map_size=14.0, goal_distance=(5.0, 9.0), horizon=150
     )
     seeds = [3, 4, 5, 6]
-    ours = play(LearnedOnDevice("ppo"), config, seeds)
     agent = learned.load("ppo")
-    native = run_episodes(agent, config, make_track(agent.track, agent.sensor), seeds)
+    track = make_track(agent.track, agent.sensor)
+    ours = play(device_agent("ppo", agent, config, track), config, (agent.track, agent.sensor), seeds)
+    native = run_episodes(agent, config, track, seeds)
     for one, other in zip(ours, native, strict=True):
         assert (one.seed, one.arrived) == (other.seed, other.arrived)
         np.testing.assert_allclose(one.boxes, other.boxes)
@@ -337,7 +339,7 @@ def test_a_shipped_policy_scores_alike_on_a_device():
 
 def test_what_the_engine_can_not_score_is_told_in_one_line(tmp_path):
     for words, arguments in {
-        "learned policies, ": {},
+        "learned policies, and functions that JAX can trace, not 'vfh'": {},
         "no pairs": {"paired": True},
         "--track": {"track": "global"},
     }.items():

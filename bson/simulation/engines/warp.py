@@ -61,13 +61,18 @@ class Motion(NamedTuple):
     ctrl: Any  #: (nu,)
 
 
-@functools.cache
-def _warp():
-    """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
+def check_warp() -> None:
+    """Raises UsageError where Warp is not installed."""
     if not has_warp():
         raise UsageError(
             f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (the extra 'warp')."
         )
+
+
+@functools.cache
+def _warp():
+    """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
+    check_warp()
     import warp
     from mujoco.mjx.third_party import mujoco_warp
 
