@@ -102,8 +102,8 @@ def _graphics_cards():
     if told.returncode or not lines:
         last = ([*lines, *told.stderr.strip().splitlines()] or ["no message"])[-1]
         raise RuntimeError(f"NVIDIA's driver does not work: nvidia-smi ends with code {told.returncode}: {last}")
-    words = [[part.strip() for part in line.split(",")] for line in lines]
-    return "; ".join(f"{name}, driver {', '.join(rest)}" for name, *rest in words)
+    cards = [[part.strip() for part in line.split(",")] for line in lines]
+    return "; ".join(f"{name}, driver {', '.join(rest)}" for name, *rest in cards)
 
 
 def _gpu():
@@ -225,7 +225,7 @@ CHECKS = (
         "gpu",
         _gpu,
         False,
-        "install JAX for it: pip install 'jax[cuda12]', of the same version; leave JAX_PLATFORMS unset",
+        "install JAX for it: pip install 'jax[cuda12]', the same version; leave JAX_PLATFORMS unset",
     ),
     ("warp", _warp, False, "pip install 'bson-macid[warp]'"),
     ("engines", _engines, True, "as jax"),

@@ -1,9 +1,9 @@
 """Agents as JAX functions, for whole episodes on a device (bson.evaluation.on_device).
 
 Such an agent has two pure functions of N worlds' observations, which have a leading axis (N,): `begin(observation) ->
-memory`, called as the episodes begin, and `act(memory, observation) -> (actions (N, 2), memory)`, called in each control
-step, the first included. A user's own agent is an object with these two, or a function of one world's observation that
-JAX can trace: agent(observation) -> action (2,).
+memory`, called as the episodes begin, and `act(memory, observation) -> (actions (N, 2), memory)`, called in each
+control step, the first included. A user's own agent is an object with these two, or a function of one world's
+observation that JAX can trace: agent(observation) -> action (2,).
 """
 
 from collections.abc import Callable, Mapping

@@ -106,7 +106,8 @@ class BatchedWorld:
         )
 
     def advance(self, state: Any, action: Any) -> Any:
-        """The State, not yet sensed, after a control step under `action` (2,) in [-1, 1]."""
+        """The State, not yet sensed, after a control step under `action` (2,) in [-1, 1]. An action that is not finite
+        is a fault."""
         command = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * self._limit
         wheels = robot.wheel_speeds(command, self.robot)
         ctrl = state.motion.ctrl.at[self._wheels].set(wheels.astype(jnp.float32))
@@ -117,6 +118,7 @@ class BatchedWorld:
         after = after._replace(steps=state.steps + 1)
         speed = jnp.abs(after.motion.qvel[: 3 * self._k + 6])
         sound = jnp.isfinite(after.motion.qpos).all() & (speed <= DIVERGED).all() & ~state.fault
+        sound &= jnp.isfinite(jnp.asarray(action)).all()
         still = state.motion._replace(qvel=jnp.zeros_like(state.motion.qvel))
         failed = state._replace(motion=still, fault=jnp.bool_(True), overflow=after.overflow)
         return _chosen(sound, after, failed)

@@ -247,27 +247,82 @@ def test_vector_form_goes_on_with_other_episodes():
     assert seeds == [9, 10, 11, 12]
 
 
-@pytest.mark.parametrize("output", ["jax", pytest.param("torch", marks=pytest.mark.slow)])
-def test_vector_form_gives_arrays_of_the_device(output):
-    kind = jax.Array if output == "jax" else pytest.importorskip("torch").Tensor
+def _kept(*parts):
+    """{name: a copy} of the arrays in dicts."""
+    return {name: np.array(np.asarray(value)) for part in parts for name, value in part.items() if value is not None}
+
+
+@pytest.mark.parametrize("output", ["numpy", "jax", pytest.param("torch", marks=pytest.mark.slow)])
+def test_vector_form_gives_arrays_of_the_device_that_no_later_step_touches(output):
+    torch = pytest.importorskip("torch") if output == "torch" else None
+    kind = {"numpy": np.ndarray, "jax": jax.Array, "torch": getattr(torch, "Tensor", None)}[output]
     env = _vector("numpy")
-    env.reset(seed=7)
     env.unwrapped._output = output
     try:
-        actions = jnp.zeros((2, 2)) if output == "jax" else __import__("torch").zeros((2, 2))
+        first = env.reset(seed=7)
+        kept = _kept(*first)
+        actions = torch.ones((2, 2), requires_grad=True) if torch else jnp.ones((2, 2))
         seen, reward, terminated, truncated, info = env.step(actions)
         assert all(isinstance(value, kind) for value in [*seen.values(), reward, terminated, truncated, info["pose"]])
+        after = _kept(seen, info)
+        env.step(np.zeros((2, 2)))
+        for name, value in _kept(*first).items():
+            np.testing.assert_array_equal(value, kept[name], err_msg=name)
+        for name, value in _kept(seen, info).items():
+            np.testing.assert_array_equal(value, after[name], err_msg=name)
+        if output == "numpy":
+            assert all(value.flags.writeable for value in [*seen.values(), reward, *info.values()])
     finally:
         env.unwrapped._output = "numpy"
+
+
+def test_equal_seeds_give_equal_episodes_and_an_action_that_is_not_finite_a_fault():
+    env, seen = _vector("numpy"), []
+    for _ in range(2):
+        env.reset(seed=11)
+        seen.append([env.step(np.full((2, 2), 0.4))[0] for _ in range(3)])
+    for one, other in zip(*seen, strict=True):
+        for name, value in one.items():
+            np.testing.assert_array_equal(value, other[name], err_msg=name)
+    env.reset(seed=11)
+    for wrong in (np.full((2, 2), np.nan), np.zeros(2), [["a", 1], [0, 0]]):
+        with pytest.raises(ValueError, match="An action must"):
+            env.step(wrong)
+    *_, truncated, info = env.step(jnp.array([[0.0, 0.0], [jnp.nan, 0.0]]))
+    assert truncated.tolist() == [False, True] and info["fault"].tolist() == ["", "physics failed"]
+    seen, *_, info = env.step(np.zeros((2, 2)))
+    assert info["seed"].tolist() == [11, 13] and env.observation_space.contains(seen)
 
 
 def test_what_the_vector_form_lacks_is_told_in_one_line():
     with pytest.raises(ValueError, match="native"):
         gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="cuda")
-    refused = {"numpy": {"output": "list"}, "NextStep": {"autoreset_mode": "SameStep"}, "one seed": {"seed": [1, 2]}}
+    refused = {
+        "numpy, jax, torch, not 'list'": {"output": "list"},
+        "NextStep": {"autoreset_mode": "SameStep"},
+        "one seed": {"seed": [1, 2]},
+        "pool must be None or a whole number of at least 1, not -5": {"pool": -5},
+        "pool must be .*, not 2.5": {"pool": 2.5},
+        "workers must be .* at least 0, not 'x'": {"workers": "x"},
+        r"limits must be a dict of fields of WarpConfig, solver, .*, not \{'foo': 1\}": {"limits": {"foo": 1}},
+        "contacts must be a number of at least 0, not nan": {"limits": {"contacts": float("nan")}},
+        "rows must be a number of at least 0, not -20.0": {"limits": {"rows": -20.0}},
+        "iterations must be a whole number of at least 1, not 0": {"limits": {"iterations": 0}},
+        "graph must be True or False, not 'yes'": {"limits": {"graph": "yes"}},
+        "solver must be one of newton, cg, not 'lu'": {"limits": {"solver": "lu"}},
+    }
     for words, arguments in refused.items():
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=words) as caught:
             gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="warp", **arguments)
+        assert "\n" not in str(caught.value)
+    small = gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=3, engine="warp", pool=2, workers=0, **SMALL)
+    with pytest.raises(ValueError, match="A pool of 2 episodes can't have 3 ready: give it a larger size"):
+        small.reset(seed=1)
+    for _ in range(2):
+        small.close()
+    for call in (lambda: small.step(np.zeros((3, 2))), lambda: small.reset(seed=1)):
+        with pytest.raises(gymnasium.error.ClosedEnvironmentError):
+            call()
 
 
 @pytest.mark.slow
@@ -367,14 +422,15 @@ def test_room_that_runs_out_is_told_by_the_number_to_raise():
 def test_contacts_that_find_no_room_are_an_error():
     env = gymnasium.make_vec(
         "BSON/LocalLidar2D-v0",
-        num_envs=3,
+        num_envs=20,
         engine="warp",
         sensor=(),
         num_pedestrians=0,
-        limits={"contacts": -20.0},
+        limits={"contacts": 0.0},
         workers=0,
-    )  # room for four, of which three robots have twelve wheels
+    )  # room for 64, and twenty robots have eighty wheels
     env.reset(seed=0)
-    env.step(np.zeros((3, 2)))
+    env.step(np.zeros((20, 2)))
     with pytest.raises(RuntimeError, match=r"raise WarpConfig\.contacts"):  # told by the step after
-        env.step(np.zeros((3, 2)))
+        env.step(np.zeros((20, 2)))
+    env.close()

@@ -23,9 +23,18 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from macid.documents import is_number, shown
 from macid.engines import WARP_PACKAGE, has_warp
 from macid.files import UsageError
 
+# Of WarpConfig's numbers, the least valid one and the kind.
+_NUMBERS = (
+    ("iterations", 1, int),
+    ("ls_iterations", 1, int),
+    ("tolerance", 0, float),
+    ("contacts", 0, float),
+    ("rows", 0, float),
+)
 SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
 
@@ -49,7 +58,22 @@ class WarpConfig:
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, not {self.solver!r}.")
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, not {shown(self.solver)}.")
+        for name, least, kind in _NUMBERS:
+            value = getattr(self, name)
+            if not is_number(value, least) or (kind is int and not isinstance(value, int)):
+                what = "a whole number" if kind is int else "a number"
+                raise ValueError(f"{name} must be {what} of at least {least}, not {shown(value)}.")
+        if not isinstance(self.graph, bool):
+            raise ValueError(f"graph must be True or False, not {shown(self.graph)}.")
+
+
+def warp_config(limits: Any = None) -> WarpConfig:
+    """The WarpConfig with `limits`, a dict of its fields, or None. Raises ValueError, naming the valid ones."""
+    names = [field.name for field in dataclasses.fields(WarpConfig)]
+    if not (limits is None or isinstance(limits, dict)) or set(limits or ()) - set(names):
+        raise ValueError(f"limits must be a dict of fields of WarpConfig, {', '.join(names)}, not {shown(limits)}.")
+    return WarpConfig(**(limits or {}))
 
 
 class Motion(NamedTuple):
