@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from macid.files import UsageError
+
 SENSORS = ("none", "lidar2d", "lidar3d", "camera")
 PEOPLE, WORLDS = (24,), (1024, 4096)
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
@@ -182,18 +184,21 @@ def run(
     seconds: float = 5.0,
     model: str = "macid",
     train: bool = False,
+    engine: dict[str, Any] | None = None,
     show: Callable[..., object] = print,
 ) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
-    train: measure PPO while it learns. Each case has a process of its own, so that no case finds programs that another
-    compiled. Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
+    train: measure PPO while it learns. engine: fields of WarpConfig. Each case has a process of its own, so that no
+    case finds programs that another compiled. Raises ValueError for a sensor set that is not among SENSORS, UsageError
+    for a case that fails.
     """
     for sensor in sensors:
         if sensor not in SENSORS:
             raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    common = {"seconds": seconds, "model": model, "engine": engine or {}}
     cases = [
-        {"people": number, "worlds": many, "seconds": seconds, "model": model, **({} if train else {"sensor": sensor})}
+        {"people": number, "worlds": many, **common, **({} if train else {"sensor": sensor})}
         for number in people
         for many in worlds
         for sensor in sensors
@@ -212,9 +217,14 @@ def run(
 def _apart(case, train=False):
     """`measure`, or `measure_training`, in a process of its own."""
     command = [sys.executable, "-m", "bson.bench_warp", "{}", json.dumps({**case, "train": train})]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=_LONGEST + case["seconds"], check=False)
+    limit = _LONGEST + case["seconds"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+    except subprocess.TimeoutExpired:
+        raise UsageError(f"The bench of {case} did not end within {limit:g} s.") from None
     if done.returncode:
-        raise RuntimeError(f"The bench of {case} ended with {done.returncode}.")
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise UsageError(f"The bench of {case} ended with code {done.returncode}: {last}")
     return json.loads(done.stdout.splitlines()[-1])
 
 

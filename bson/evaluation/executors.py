@@ -15,6 +15,7 @@ from bson.episodes.tracks import make_track
 from bson.evaluation.play import BATCH, pair, run_episodes
 from bson.evaluation.suites import Cell
 from bson.robot import load_robot
+from bson.simulation.engines import engine_limits, engine_name
 from bson.task import TaskConfig
 from macid.executors import Carried, Executor, carry_files, carry_module
 from macid.files import UsageError
@@ -37,7 +38,7 @@ class Play:
     seeds: tuple[int, ...]
     called: str = "agent"
     untrained: bool = False  # whether the agent may drive in a setting other than that of its training
-    engine: str = "native"  # the engine of the worlds
+    engine: str = "native"  # the engine of the worlds, with or without options
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,12 +56,12 @@ def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None
     track, sensor = job.track
     sensor = make_agent.sensor if sensor is None else sensor
     seen = make_track(track, sensor)
-    if job.engine == "warp":
+    if engine_name(job.engine) == "warp":
         from bson.evaluation.device_agents import device_agent
         from bson.evaluation.on_device import play as play_on_device
 
         agent = device_agent(job.agent, make_agent, job.config, seen, job.called)
-        where = job.config, (track, sensor), job.seeds
+        where = job.config, (track, sensor), job.seeds, engine_limits(job.engine)
         for episode in play_on_device(agent, *where, progress=lambda steps: send((steps, None)), name=job.called):
             send((0, episode))
         return
@@ -98,8 +99,9 @@ def check_engine(
 ) -> None:
     """Raises UsageError where `engine` is no engine, or can't play what is asked: `agent`, of the factory `make_agent`,
     on `track`, as for make_track."""
-    if engine != "warp":
-        raise UsageError(f"Unknown engine {engine!r}. Choose 'native' or 'warp'.")
+    engine_limits(engine)
+    if engine_name(engine) == "native":
+        return
     from bson.evaluation.device_agents import device_agent
     from bson.simulation.batched import check_sensors
     from bson.simulation.engines.warp import check_warp

@@ -12,6 +12,7 @@ from bson.agents.contract import AgentError
 from bson.episodes.record import Episode, shortest_way
 from bson.interfaces.functional import BsonFuncEnv
 from bson.simulation.batched import COLLISIONS
+from bson.simulation.engines.warp import OutOfRoom
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig, spawn
 
@@ -31,7 +32,7 @@ def play(
     bson.episodes.tracks.make_track; in that order. progress: called with the number of control steps done since its
     last call, of all worlds together. engine: WarpConfig. name: the agent's, for messages.
 
-    Raises RuntimeError where physics runs out of room, AgentError for an action that is not finite.
+    Raises OutOfRoom where physics runs out of it, AgentError for an action that is not finite.
     """
     seeds = [int(seed) for seed in seeds]
     env = BsonFuncEnv(*track, num_envs=len(seeds), engine=engine, task=config)
@@ -86,7 +87,7 @@ def play(
         if (going & ~parts[-1]["acted"]).any():
             raise AgentError(f"Agent '{name}' returned an action that is not finite.")
         if lost := int(np.bitwise_or.reduce(parts[-1]["overflow"], axis=None)):
-            raise RuntimeError(env.world.engine.explain(lost))
+            raise OutOfRoom(env.world.engine.explain(lost))
         if progress:
             progress(int(going.sum()))
     rows = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}

@@ -76,6 +76,11 @@ def warp_config(limits: Any = None) -> WarpConfig:
     return WarpConfig(**(limits or {}))
 
 
+class OutOfRoom(UsageError, RuntimeError):
+    """Physics had too little room for contacts or constraint rows: its results are wrong. The text names the number to
+    raise."""
+
+
 class Motion(NamedTuple):
     """The part of MuJoCo's state that a world's next step depends on."""
 
@@ -201,10 +206,14 @@ class WarpEngine:
         told = []
         if overflow & _ROWS:
             told.append(
-                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g})"
+                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g}), "
+                f"as by --engine warp:rows={2 * self.config.rows or 6:g}"
             )
         if overflow & ~_ROWS:
-            told.append(f"there are too many contacts: raise WarpConfig.contacts ({self.config.contacts:g} a world)")
+            told.append(
+                f"there are too many contacts: raise WarpConfig.contacts ({self.config.contacts:g} a world), as by "
+                f"--engine warp:contacts={2 * self.config.contacts or 16:g}"
+            )
         return "Physics ran out of room: " + "; ".join(told) + "."
 
     def _placed(self, boxes):
