@@ -18,6 +18,7 @@ SENSORS = ("none", "lidar2d", "lidar3d", "camera")
 PEOPLE, WORLDS = (24,), (1024, 4096)
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 _CHUNK = 10  # control steps that the host asks for at once
+_DRAWN = 256  # episodes that a profile's worlds begin with
 _LONGEST = 600.0  # time that a case in its own process may take [s]
 
 
@@ -169,6 +170,72 @@ def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None
     }
 
 
+def profile_parts(
+    sensor: str = "lidar2d",
+    people: int = 24,
+    worlds: int = 4096,
+    model: str = "macid",
+    seconds: float = 1.0,
+    engine: dict[str, Any] | None = None,
+    **config: Any,
+) -> dict[str, Any]:
+    """What bounds the speed: "parts" are {part: microseconds} that parts of a control step, each compiled by itself,
+    take for all worlds together."""
+    import jax
+    import jax.numpy as jnp
+
+    from bson.episodes.tracks import SENSORS as SETS
+    from bson.interfaces.functional import BsonFuncEnv
+    from bson.simulation.engines.warp import WarpConfig
+
+    config |= {"num_pedestrians": people, "pedestrian_model": model}
+    limits = WarpConfig(**(engine or {}))
+    env = BsonFuncEnv("local", SETS.get(sensor, ()), worlds, min(worlds, _DRAWN), engine=limits, **config)
+    world, task, action = env.world, env.config, jnp.asarray(_ACTION, jnp.float32)
+
+    def moved(state, by):
+        """`state` moved a little, so that the compiler can't reuse one step's work for the next."""
+        qpos = state.motion.qpos.at[3 * people].add(1e-9 * by)
+        return state._replace(motion=state.motion._replace(qpos=qpos))
+
+    def physics(state):
+        motion = state.motion
+        for _ in range(task.decisions):
+            motion, _, _ = world.engine.step(motion, state.drawn.boxes, task.substeps)
+        return state._replace(motion=motion)
+
+    def decisions(state):
+        for _ in range(task.decisions if people else 0):
+            state = moved(state, world._commands(state).sum())
+        return state
+
+    def sensing(state):
+        state = world.sense(state)
+        return moved(state, sum(jnp.sum(reading.astype(jnp.float32)) for reading in state.readings.values()))
+
+    parts = {
+        "control step": lambda state: env.transition(state, action),
+        "physics": physics,
+        "people's decisions": decisions,
+        "sensing": sensing,
+    }
+    states = jax.jit(jax.vmap(env.initial, in_axes=(0, None)))(jnp.arange(worlds), env.default_params)
+    found = {}
+    for part, of_one in parts.items():
+        several = jax.jit(
+            lambda states, of_one=of_one: jax.lax.scan(
+                lambda states, _: (jax.vmap(of_one)(states), None), states, None, length=_CHUNK
+            )[0]
+        )
+        jax.block_until_ready(several(states))
+        count, begin = 0, time.perf_counter()
+        while not count or time.perf_counter() - begin < seconds:
+            jax.block_until_ready(several(states))
+            count += _CHUNK
+        found[part] = round(1e6 * (time.perf_counter() - begin) / count, 1)
+    return {"device": device(), "people": people, "worlds": worlds, "sensor": sensor, "parts": found}
+
+
 def device() -> str:
     """The device that the worlds are on, in words."""
     import jax
@@ -232,7 +299,9 @@ def _main(engine, *cases):
     """Measures `cases`, each in JSON like `engine`, the fields of WarpConfig; prints each row as one line of JSON."""
     for case in map(json.loads, cases):
         case["engine"] = {**json.loads(engine), **case.get("engine", {})}
-        measured = measure_training if case.pop("train", False) else measure_score if "score" in case else measure
+        kinds = {"train": measure_training, "profile": profile_parts}
+        asked = [kind for kind in kinds if case.pop(kind, False)]
+        measured = kinds[asked[0]] if asked else measure_score if "score" in case else measure
         print(json.dumps(measured(**case)), flush=True)
         gc.collect()
 

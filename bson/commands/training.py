@@ -6,6 +6,7 @@ from typing import Any
 from bson.commands.flags import add_engine, add_task, overrides
 from macid import start
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_TRAINING_SEED, MOST_WORLDS, add_executor, name
+from macid.executors import make_executor
 from macid.files import UsageError
 
 
@@ -52,6 +53,7 @@ def _train_warp(args, limits):
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.executor != "local":
         raise UsageError("--engine warp trains one seed in this process: leave --seeds and --executor out.")
+    make_executor(args.executor, args.ray_address, args.workers)  # refuses flags that are for others
     from tqdm import tqdm
 
     from bson.learning.device_ppo import STARTED, DeviceTrainConfig, train

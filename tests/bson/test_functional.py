@@ -18,7 +18,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import make_track
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
-from bson.sensors import Imu, Lidar2D
+from bson.sensors import Imu, Lidar2D, Lidar3D
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.engines import warp
 from bson.simulation.pool import Pool
@@ -112,6 +112,37 @@ def test_slim_people_with_speeds_of_their_own_and_companions_move_alike():
     places = states.motion.qpos[:, : 3 * 6].reshape(2, 6, 3)
     np.testing.assert_allclose(places[..., :2], world.people[..., :2], atol=1e-2)
     np.testing.assert_allclose(states.nearest_person, world.nearest_person, atol=1e-2)
+
+
+def test_among_routes_people_and_the_beams_of_a_3d_lidar_are_the_native_ones():
+    """On a map with routes; after each step the native world is put into the device's state, and sees the same."""
+    sensors = (Lidar3D(), Lidar2D(noise=0.0, key="flat", beams=90, yaw=1.0, pitch=0.1, range_max=4.0))
+    setting = {"map": "corridor-flow", "num_pedestrians": 6, "goal_distance": (10.0, 19.0)}
+    env = BsonFuncEnv("local", sensors, 2, seed=SEED, pool=2, **setting)
+    session, wanted = _native(env, 2)
+    world, every, rng = session.world, np.arange(2), np.random.default_rng(1)
+    initial, step = jax.jit(jax.vmap(env.initial, in_axes=(0, None))), jax.jit(jax.vmap(env.transition))
+    states = initial(jnp.arange(2), env.default_params)
+    assert (np.asarray(states.drawn.turns) > 1).any()  # ways have waypoints
+    np.testing.assert_allclose(jax.vmap(env.world.headings)(states), world.people_goals, atol=1e-4)
+    seen = _observed(env, states)
+    for key in ("lidar3d", "flat"):
+        assert seen[key].shape == wanted[key].shape
+        np.testing.assert_allclose(seen[key], wanted[key], atol=1e-4, err_msg=key)
+    assert (wanted["flat"] == 4.0).any() and (wanted["lidar3d"] == 100.0).any()  # what meets nothing reads the range
+    for _ in range(4):
+        action = rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
+        states = step(states, action)
+        session.step(every, action)
+        np.testing.assert_allclose(states.motion.qpos[:, :18], world.qpos[:, :18], atol=2e-3)
+        world.engine.qpos[:] = np.asarray(states.motion.qpos)
+        world.place(every)
+        seen, wanted = _observed(env, states), session.observe(every)
+        for key in ("lidar3d", "flat"):
+            off = np.abs(seen[key] - wanted[key])
+            edges = off > 1e-4 * np.maximum(1.0, wanted[key] / 10.0)  # a beam that just passes somebody
+            assert edges.mean() < 1e-3, key
+    world.close()
 
 
 def _placed(states, session, pose, people=None):
@@ -349,6 +380,29 @@ def test_every_environment_has_both_forms(name):
         action = jnp.array([[0.5, 0.5], [1.0, -0.2]])
         state = transition(state, action)
         wanted, *_ = native.step(np.asarray(action))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bson.ENVIRONMENTS)
+def test_every_environment_s_vector_form_keeps_to_its_spaces(name):
+    env = gymnasium.make_vec(name, num_envs=1, engine="warp", workers=0, **SMALL)
+    native = gymnasium.make_vec(name, num_envs=1, **SMALL)
+    assert env.observation_space == native.observation_space and env.action_space == native.action_space
+    (seen, info), (_, told) = env.reset(seed=4), native.reset(seed=4)
+    assert {key: (value.dtype, value.shape) for key, value in info.items()} == {
+        key: (value.dtype, value.shape) for key, value in told.items()
+    }
+    env.action_space.seed(0)
+    seeds = []
+    for _ in range(2 * SMALL["horizon"] + 1):
+        assert env.observation_space.contains(seen)
+        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert reward.shape == terminated.shape == truncated.shape == (1,) and np.isfinite(reward).all()
+        assert not (terminated & truncated).any() and info["fault"][0] == ""
+        seeds.append(int(info["seed"][0]))
+    assert sorted(set(seeds)) == list(range(4, 4 + len(set(seeds)))) and len(set(seeds)) >= 2
+    env.close()
+    native.close()
 
 
 @pytest.mark.slow
