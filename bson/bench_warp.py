@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from macid.files import UsageError
+
 SENSORS = ("none", "lidar2d", "lidar3d", "camera")
 PEOPLE, WORLDS = (24,), (1024, 4096)
 _ACTION = (0.5, 0.1)  # a wide arc at 1 m/s
 _CHUNK = 10  # control steps that the host asks for at once
+_DRAWN = 256  # episodes that a profile's worlds begin with
 _LONGEST = 600.0  # time that a case in its own process may take [s]
 
 
@@ -141,15 +144,20 @@ def measure_training(
 
 
 def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None = None) -> dict[str, Any]:
-    """How fast the learned policy `score` is scored on the suite `paper`, and its SNS in each episode."""
+    """How fast the agent `score` is scored on the suite `paper`, and its SNS in each episode."""
+    from bson.agents import load_agent
+    from bson.episodes.tracks import make_track
+    from bson.evaluation.device_agents import device_agent
     from bson.evaluation.metrics import measure as metrics_of
-    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.on_device import play
     from bson.evaluation.suites import load_suite
     from bson.simulation.engines.warp import WarpConfig
 
-    suite = load_suite("paper")
+    suite, factory = load_suite("paper"), load_agent(score)
+    config, track = suite.cells[0].config, (factory.track, factory.sensor)
     begin = time.perf_counter()
-    played = play(LearnedOnDevice(score), suite.cells[0].config, suite.drawn(episodes, 0), WarpConfig(**(engine or {})))
+    agent = device_agent(score, factory, config, make_track(*track), score)
+    played = play(agent, config, track, suite.drawn(episodes, 0), WarpConfig(**(engine or {})))
     seconds = time.perf_counter() - begin
     measured = [metrics_of(episode) for episode in played]
     return {
@@ -160,6 +168,72 @@ def measure_score(score: str, episodes: int = 100, engine: dict[str, Any] | None
         **{name: float(np.mean([row[name] for row in measured])) for name in ("SNS", "RC", "Coll", "SP", "PE")},
         "each": {episode.seed: round(float(row["SNS"]), 3) for episode, row in zip(played, measured, strict=True)},
     }
+
+
+def profile_parts(
+    sensor: str = "lidar2d",
+    people: int = 24,
+    worlds: int = 4096,
+    model: str = "macid",
+    seconds: float = 1.0,
+    engine: dict[str, Any] | None = None,
+    **config: Any,
+) -> dict[str, Any]:
+    """What bounds the speed: "parts" are {part: microseconds} that parts of a control step, each compiled by itself,
+    take for all worlds together."""
+    import jax
+    import jax.numpy as jnp
+
+    from bson.episodes.tracks import SENSORS as SETS
+    from bson.interfaces.functional import BsonFuncEnv
+    from bson.simulation.engines.warp import WarpConfig
+
+    config |= {"num_pedestrians": people, "pedestrian_model": model}
+    limits = WarpConfig(**(engine or {}))
+    env = BsonFuncEnv("local", SETS.get(sensor, ()), worlds, min(worlds, _DRAWN), engine=limits, **config)
+    world, task, action = env.world, env.config, jnp.asarray(_ACTION, jnp.float32)
+
+    def moved(state, by):
+        """`state` moved a little, so that the compiler can't reuse one step's work for the next."""
+        qpos = state.motion.qpos.at[3 * people].add(1e-9 * by)
+        return state._replace(motion=state.motion._replace(qpos=qpos))
+
+    def physics(state):
+        motion = state.motion
+        for _ in range(task.decisions):
+            motion, _, _ = world.engine.step(motion, state.drawn.boxes, task.substeps)
+        return state._replace(motion=motion)
+
+    def decisions(state):
+        for _ in range(task.decisions if people else 0):
+            state = moved(state, world._commands(state).sum())
+        return state
+
+    def sensing(state):
+        state = world.sense(state)
+        return moved(state, sum(jnp.sum(reading.astype(jnp.float32)) for reading in state.readings.values()))
+
+    parts = {
+        "control step": lambda state: env.transition(state, action),
+        "physics": physics,
+        "people's decisions": decisions,
+        "sensing": sensing,
+    }
+    states = jax.jit(jax.vmap(env.initial, in_axes=(0, None)))(jnp.arange(worlds), env.default_params)
+    found = {}
+    for part, of_one in parts.items():
+        several = jax.jit(
+            lambda states, of_one=of_one: jax.lax.scan(
+                lambda states, _: (jax.vmap(of_one)(states), None), states, None, length=_CHUNK
+            )[0]
+        )
+        jax.block_until_ready(several(states))
+        count, begin = 0, time.perf_counter()
+        while not count or time.perf_counter() - begin < seconds:
+            jax.block_until_ready(several(states))
+            count += _CHUNK
+        found[part] = round(1e6 * (time.perf_counter() - begin) / count, 1)
+    return {"device": device(), "people": people, "worlds": worlds, "sensor": sensor, "parts": found}
 
 
 def device() -> str:
@@ -177,18 +251,21 @@ def run(
     seconds: float = 5.0,
     model: str = "macid",
     train: bool = False,
+    engine: dict[str, Any] | None = None,
     show: Callable[..., object] = print,
 ) -> list[dict[str, Any]]:
     """Prints the table, a line a case as it is measured; returns its rows as dicts.
 
-    train: measure PPO while it learns. Each case has a process of its own, so that no case finds programs that another
-    compiled. Raises ValueError for a sensor set that is not among SENSORS, RuntimeError for a case that fails.
+    train: measure PPO while it learns. engine: fields of WarpConfig. Each case has a process of its own, so that no
+    case finds programs that another compiled. Raises ValueError for a sensor set that is not among SENSORS, UsageError
+    for a case that fails.
     """
     for sensor in sensors:
         if sensor not in SENSORS:
             raise ValueError(f"Unknown sensor {sensor!r}. Choose among {', '.join(SENSORS)}.")
+    common = {"seconds": seconds, "model": model, "engine": engine or {}}
     cases = [
-        {"people": number, "worlds": many, "seconds": seconds, "model": model, **({} if train else {"sensor": sensor})}
+        {"people": number, "worlds": many, **common, **({} if train else {"sensor": sensor})}
         for number in people
         for many in worlds
         for sensor in sensors
@@ -207,9 +284,14 @@ def run(
 def _apart(case, train=False):
     """`measure`, or `measure_training`, in a process of its own."""
     command = [sys.executable, "-m", "bson.bench_warp", "{}", json.dumps({**case, "train": train})]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=_LONGEST + case["seconds"], check=False)
+    limit = _LONGEST + case["seconds"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+    except subprocess.TimeoutExpired:
+        raise UsageError(f"The bench of {case} did not end within {limit:g} s.") from None
     if done.returncode:
-        raise RuntimeError(f"The bench of {case} ended with {done.returncode}.")
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise UsageError(f"The bench of {case} ended with code {done.returncode}: {last}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -217,7 +299,9 @@ def _main(engine, *cases):
     """Measures `cases`, each in JSON like `engine`, the fields of WarpConfig; prints each row as one line of JSON."""
     for case in map(json.loads, cases):
         case["engine"] = {**json.loads(engine), **case.get("engine", {})}
-        measured = measure_training if case.pop("train", False) else measure_score if "score" in case else measure
+        kinds = {"train": measure_training, "profile": profile_parts}
+        asked = [kind for kind in kinds if case.pop(kind, False)]
+        measured = kinds[asked[0]] if asked else measure_score if "score" in case else measure
         print(json.dumps(measured(**case)), flush=True)
         gc.collect()
 

@@ -7,7 +7,9 @@ import contextlib
 import functools
 import importlib
 import os
+import pathlib
 import platform
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +18,8 @@ from macid import start
 from macid.running import run_command, start_mujoco
 
 _PATIENCE = 120  # time for the process that tries to draw [s]
+_DRIVER = pathlib.Path("/proc/driver/nvidia/version")  # of NVIDIA's driver, on Linux
+_FIELDS = "name,driver_version,memory.total"  # that nvidia-smi is asked for
 
 
 def _versions():
@@ -75,6 +79,73 @@ def _jax():
     import jax
 
     return f"{jax.default_backend()}: {', '.join(str(device) for device in jax.devices())}"
+
+
+def _graphics_cards():
+    """NVIDIA's GPUs and their driver, in words; None where there is no driver. Raises RuntimeError where the driver
+    does not answer."""
+    asked = shutil.which("nvidia-smi")
+    if asked is None:
+        if not _DRIVER.exists():
+            return None
+        return f"NVIDIA's driver {' '.join(_DRIVER.read_text().split()[:9])}"
+    try:
+        told = subprocess.run(
+            [asked, f"--query-gpu={_FIELDS}", "--format=csv,noheader"],
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise RuntimeError(f"nvidia-smi does not answer ({error})") from None
+    lines = [line.strip() for line in told.stdout.splitlines() if line.strip()]
+    if told.returncode or not lines:
+        last = ([*lines, *told.stderr.strip().splitlines()] or ["no message"])[-1]
+        raise RuntimeError(f"NVIDIA's driver does not work: nvidia-smi ends with code {told.returncode}: {last}")
+    cards = [[part.strip() for part in line.split(",")] for line in lines]
+    return "; ".join(f"{name}, driver {', '.join(rest)}" for name, *rest in cards)
+
+
+def _gpu():
+    import jax
+
+    cards, ours = _graphics_cards(), jax.default_backend()
+    if cards is None:
+        return f"no NVIDIA GPU here; JAX is on the {ours}"
+    if ours != "gpu":
+        chosen = os.environ.get("JAX_PLATFORMS")
+        why = f" (JAX_PLATFORMS={chosen})" if chosen else ""
+        raise RuntimeError(f"{cards}; but JAX is on the {ours}{why}")
+    return f"{cards}; JAX is on it"
+
+
+def _warp():
+    from macid.engines import WARP_PACKAGE, has_warp
+
+    name, _, wanted = WARP_PACKAGE.partition("==")
+    if not has_warp():
+        if _graphics_cards() is None:
+            return "not installed, and without a GPU not needed"
+        raise RuntimeError(f"{name} is not installed, so there is no engine 'warp'")
+    import warp
+
+    warp.config.log_level = warp.LOG_ERROR  # else Warp prints lines on itself
+    if warp.__version__ != wanted:
+        raise RuntimeError(f"{name} is {warp.__version__}, not {wanted}, the version for this mujoco-mjx")
+    importlib.import_module("mujoco.mjx.third_party.mujoco_warp")
+    if _graphics_cards() is None:  # not asked of Warp, which prints a remark on that
+        return f"{warp.__version__}, on the CPU (for tests: it is slow there)"
+    if not warp.is_cuda_available():
+        raise RuntimeError(f"{name} {warp.__version__} does not find the GPU: its driver may be too old")
+    return f"{warp.__version__}, on {', '.join(device.name for device in warp.get_cuda_devices())}"
+
+
+def _engines():
+    from macid.engines import best_engine, has_warp
+
+    name, why = best_engine()
+    robots = "warp where --engine warp asks for it" if has_warp() else "--engine warp needs the extra warp"
+    return f"crowds run on {name} ({why}); robots on native, {robots}"
 
 
 def _gl():
@@ -150,6 +221,14 @@ CHECKS = (
     ("assets", _assets, True, "reinstall the package"),
     ("physics", _physics, True, "reinstall mujoco>=3.17,<4"),
     ("jax", _jax, True, "reinstall jax"),
+    (
+        "gpu",
+        _gpu,
+        False,
+        "install JAX for it: pip install 'jax[cuda12]', the same version; leave JAX_PLATFORMS unset",
+    ),
+    ("warp", _warp, False, "pip install 'bson-macid[warp]'"),
+    ("engines", _engines, True, "as jax"),
     ("sensors", _sensors, True, "reinstall mujoco>=3.17,<4"),
     ("pictures", _gl, False, "apt-get install libegl1 libgl1-mesa-dri, and leave MUJOCO_GL unset or egl"),
     ("cameras", _cameras, False, "as pictures"),

@@ -42,18 +42,21 @@ def goal(observation: Mapping[str, np.ndarray], speed: float = 0.8, turn: float 
 
 class Goal:
     """Drives as `goal` does, but never so fast that the robot reaches the goal, or looks the other way, before it
-    decides again."""
+    decides again.
+
+    turn: share of the top yaw rate for each radian off the goal; reach: the way at top speed in a control step [m].
+    """
 
     speed = 0.8  # share of the top speed
 
     def __init__(self, setting: Setting | None = None):
         setting = Setting.default() if setting is None else setting
         in_a_step = setting.control_period * setting.top
-        self._turn, self._reach = min(_TURN, 1.0 / in_a_step[1]), in_a_step[0]
+        self.turn, self.reach = min(_TURN, 1.0 / in_a_step[1]), in_a_step[0]
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation."""
-        return goal(observation, min(self.speed, np.hypot(*observation["goal"]) / self._reach), self._turn)
+        return goal(observation, min(self.speed, np.hypot(*observation["goal"]) / self.reach), self.turn)
 
 
 class StopAndGo(Goal):

@@ -62,8 +62,9 @@ def evaluate(
     paired: also plays each episode without the robot. metrics: the user's own metrics, each `module:function` or
     `file.py:function` (see bson.evaluation.metrics). videos: the number of films. record: also writes the worst and the
     best episode to `out`/bags (see `record`). resume: goes on with the evaluation that was cut short in `out`.
-    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", which plays all
-    episodes of a cell at once on a device, for agents that are learned policies. stamped, real_time, timeout: of the
+    executor, ray_address, workers: see macid.executors.make_executor. engine: "native", or "warp", with or without
+    options (warp:contacts=32, see bson.simulation.engines.warp.WarpConfig), which plays all episodes of a cell at once
+    on a device, for agents that are JAX functions (bson.evaluation.device_agents). stamped, real_time, timeout: of the
     agent "ros", which is whatever drives on the other side of ROS 2: whether it sends TwistStamped, not Twist; whether
     the world takes a control step each period and does not wait for a command; how long a command may take in lockstep
     [s]. command: the command that `results.json` names as its origin. told: called with the Results once they are
@@ -100,7 +101,7 @@ def evaluate(
         check_spawn(cell.config, each)
     follows_from = basis(name, wanted, cells, paired)
     if engine != "native":
-        check_engine(engine, agent, wanted, executor, paired)
+        check_engine(engine, agent, make_agent, [cell.config for cell in cells], wanted, name, executor, paired)
         follows_from["engine"] = engine
     if agent == ROS and real_time:
         follows_from["real_time"] = True

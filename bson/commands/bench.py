@@ -1,7 +1,9 @@
 """How fast this machine is: `bson bench`."""
 
+import dataclasses
 from typing import Any
 
+from bson.commands.flags import add_engine
 from macid.command import MOST_PEOPLE, MOST_WORLDS, name
 from macid.files import UsageError, check_file, new_folder, write_json
 
@@ -9,9 +11,11 @@ from macid.files import UsageError, check_file, new_folder, write_json
 def _bench(args):
     from bson import bench
     from bson.benchmark.training import agents_extra
+    from bson.simulation.engines import engine_limits, engine_name
     from bson.task import TaskConfig
     from macid.pedestrians import make_controller
 
+    limits = engine_limits(args.engine)
     make_controller(args.pedestrian_model, 0.1)
     given = {
         "people": args.pedestrians,
@@ -26,8 +30,8 @@ def _bench(args):
     path = check_file(args.out, "file for --out") if args.out else None
     if args.record:
         rows = _bench_recording(args, given)
-    elif args.engine == "warp":
-        rows = _bench_warp(args, given)
+    elif engine_name(args.engine) == "warp":
+        rows = _bench_warp(args, given, limits)
     elif args.train is None:
         rows = bench.run(**given, model=args.pedestrian_model)
     elif args.sensors is not None:
@@ -51,8 +55,12 @@ def _bench_recording(args, given):
     return bench.run_recording(**given, model=args.pedestrian_model)
 
 
-def _bench_warp(args, given):
+def _bench_warp(args, given, limits):
     from bson import bench_warp
+    from bson.simulation.engines.warp import check_warp
+
+    check_warp()
+    given["engine"] = dataclasses.asdict(limits)
 
     if "batches" in given:
         given["worlds"] = given.pop("batches")
@@ -80,11 +88,6 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
     )
     bench.number("--seconds", float, 0.0, 1e6, above=True, help="time a case (default: 2; training: 20)")
     bench.add_argument("--pedestrian-model", type=name, default="macid", help="(default: macid)")
-    bench.add_argument(
-        "--engine",
-        choices=("native", "warp"),
-        default="native",
-        help="native: MuJoCo on CPUs; warp: MJX-Warp, on a GPU if there is one (default worlds then: 1024 4096)",
-    )
+    add_engine(bench, "default worlds then 1024 4096")
     bench.add_argument("--out", type=name, help="JSON file")
     bench.set_defaults(run=_bench)

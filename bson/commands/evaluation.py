@@ -3,6 +3,7 @@
 from typing import Any
 
 from bson.commands.flags import (
+    add_engine,
     add_pace,
     add_passphrase,
     add_setting,
@@ -64,12 +65,7 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
 
 
 def _add_evaluation(command: Parser, out: str, suite: str):
-    command.add_argument(
-        "--engine",
-        default="native",
-        choices=("native", "warp"),
-        help="warp: all episodes of a cell at once in MJX-Warp, on a GPU if there is one; for learned policies",
-    )
+    add_engine(command, "all episodes of a cell at once, of agents that are JAX functions")
     command.add_argument("--suite", type=name, default=suite, help="a name (bson list)")
     add_passphrase(command)
     command.number("--episodes", int, -MOST_SEED, MOST_SEED, default=None, help="only the suite's first N episodes")

@@ -1,5 +1,6 @@
 """Flags that several commands have, and what they say."""
 
+import argparse
 import os
 import shlex
 from collections.abc import Sequence
@@ -48,6 +49,28 @@ def overrides(args: Any) -> dict[str, Any]:
     from bson.evaluation.overrides import read_overrides
 
     return read_overrides(args.set)
+
+
+def _engine(text):
+    """The engine of a robot's worlds, for argparse."""
+    from bson.simulation.engines import engine_name
+
+    try:
+        engine_name(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
+def add_engine(command: Parser, of_warp: str) -> None:
+    """Adds the flag --engine, a name with or without options, as bson.simulation.engines has them. of_warp: what warp
+    does in this command."""
+    command.add_argument(
+        "--engine",
+        type=_engine,
+        default="native",
+        help=f"native, or warp, MJX-Warp on a GPU if there is one: {of_warp}; with options as in warp:contacts=32",
+    )
 
 
 def add_wire(command: Parser) -> None:

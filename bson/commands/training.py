@@ -3,15 +3,19 @@
 import sys
 from typing import Any
 
-from bson.commands.flags import add_task, overrides
+from bson.commands.flags import add_engine, add_task, overrides
 from macid import start
 from macid.command import MOST_SEEDS, MOST_STEPS, MOST_TRAINING_SEED, MOST_WORLDS, add_executor, name
+from macid.executors import make_executor
 from macid.files import UsageError
 
 
 def _train(args):
-    if args.engine == "warp":
-        return _train_warp(args)
+    from bson.simulation.engines import engine_limits, engine_name
+
+    limits = engine_limits(args.engine)
+    if engine_name(args.engine) == "warp":
+        return _train_warp(args, limits)
     from bson import benchmark
 
     folders = benchmark.train(
@@ -40,7 +44,7 @@ def _train(args):
     return 0
 
 
-def _train_warp(args):
+def _train_warp(args, limits):
     if args.demonstrations is not None:
         raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
     if args.teacher is not None:
@@ -49,6 +53,7 @@ def _train_warp(args):
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.executor != "local":
         raise UsageError("--engine warp trains one seed in this process: leave --seeds and --executor out.")
+    make_executor(args.executor, args.ray_address, args.workers)  # refuses flags that are for others
     from tqdm import tqdm
 
     from bson.learning.device_ppo import STARTED, DeviceTrainConfig, train
@@ -67,7 +72,7 @@ def _train_warp(args):
                 bar.write(f"{steps:,} steps, validation: {text}", file=sys.stderr)
             bar.set_postfix_str(text)
 
-        folder = train(config, args.out, args.resume, show, tensorboard=args.tensorboard)
+        folder = train(config, args.out, args.resume, show, tensorboard=args.tensorboard, limits=limits)
     policy = folder / "policy.npz"
     print(f"Written: {policy}, {folder / 'policy.json'}. Score it: bson evaluate --agent {policy}")
     return 0
@@ -87,9 +92,7 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         "--steps", float, 1.0, MOST_STEPS, default=1e6, help="control steps of all worlds; of demonstrations with bc"
     )
     train.number("--worlds", int, 1, MOST_WORLDS, default=None, help="at once (default: 16; with --engine warp 1024)")
-    train.add_argument(
-        "--engine", choices=("native", "warp"), default="native", help="warp: ppo in MJX-Warp, on a GPU if there is one"
-    )
+    add_engine(train, "ppo")
     train.number("--seed", int, 0, MOST_TRAINING_SEED, default=0, help="the first seed")
     train.number(
         "--seeds", int, 1, MOST_SEEDS, default=1, help="how many, one after the other, or at once with --executor ray"

@@ -34,7 +34,8 @@ def _give_back():
     trim(0)
 
 
-def _closed():
+def closed() -> Exception:
+    """The error of an environment that was closed."""
     return gymnasium.error.ClosedEnvironmentError("This environment is closed: make another one.")
 
 
@@ -64,14 +65,14 @@ class Session:
     def world(self) -> World:
         """The World of the present setting. Raises gymnasium.error.ClosedEnvironmentError once closed."""
         if self._world is None:
-            raise _closed()
+            raise closed()
         return self._world
 
     def configure(self, config: TaskConfig) -> None:
         """Changes the setting of all worlds; after it they need a reset. The last models are kept: the most recent of
         another structure (bson.simulation.scene.structure) takes the place of the oldest."""
         if self._worlds is None:
-            raise _closed()
+            raise closed()
         key = structure(config)
         world = self._worlds.pop(key, None)
         if world is None:

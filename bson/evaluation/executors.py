@@ -15,6 +15,7 @@ from bson.episodes.tracks import make_track
 from bson.evaluation.play import BATCH, pair, run_episodes
 from bson.evaluation.suites import Cell
 from bson.robot import load_robot
+from bson.simulation.engines import engine_limits, engine_name
 from bson.task import TaskConfig
 from macid.executors import Carried, Executor, carry_files, carry_module
 from macid.files import UsageError
@@ -37,7 +38,7 @@ class Play:
     seeds: tuple[int, ...]
     called: str = "agent"
     untrained: bool = False  # whether the agent may drive in a setting other than that of its training
-    engine: str = "native"  # the engine of the worlds
+    engine: str = "native"  # the engine of the worlds, with or without options
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,16 +52,19 @@ class Pair:
 def play(job: Play, send: Callable[[Any], None], make_agent: Any = None) -> None:
     """The work of a Play: sends (control steps, Episode or None), the progress of `run_episodes`. make_agent: the
     agent's factory, where it is loaded already."""
-    if job.engine == "warp":
-        from bson.evaluation.on_device import LearnedOnDevice
-        from bson.evaluation.on_device import play as play_on_device
-
-        for episode in play_on_device(LearnedOnDevice(job.agent), job.config, job.seeds):
-            send((len(episode.pose) - 1, episode))
-        return
     make_agent = make_agent or load_agent(job.agent, job.untrained)
     track, sensor = job.track
-    seen = make_track(track, make_agent.sensor if sensor is None else sensor)
+    sensor = make_agent.sensor if sensor is None else sensor
+    seen = make_track(track, sensor)
+    if engine_name(job.engine) == "warp":
+        from bson.evaluation.device_agents import device_agent
+        from bson.evaluation.on_device import play as play_on_device
+
+        agent = device_agent(job.agent, make_agent, job.config, seen, job.called)
+        where = job.config, (track, sensor), job.seeds, engine_limits(job.engine)
+        for episode in play_on_device(agent, *where, progress=lambda steps: send((steps, None)), name=job.called):
+            send((0, episode))
+        return
     run_episodes(make_agent, job.config, seen, job.seeds, job.called, _told_by(send))
 
 
@@ -83,20 +87,35 @@ def _told_by(send):
     return progress
 
 
-def check_engine(engine: str, agent: Any, track: tuple[Any, Any], executor: Any, paired: bool) -> None:
-    """Raises UsageError where `engine` is no engine, or can't play what is asked."""
-    if engine != "warp":
-        raise UsageError(f"Unknown engine {engine!r}. Choose 'native' or 'warp'.")
-    if not (isinstance(agent, str) and (agent in learned.names() or agent.endswith(".npz"))):
-        known = ", ".join(learned.names())
-        raise UsageError(f"The engine 'warp' plays learned policies, {known} or a .npz file, not {agent}.")
-    if (kind := learned.load(agent).kind) is not learned.Learned:
-        told = ", ".join(name for name, each in learned.KINDS.items() if each is kind)
-        raise UsageError(f"The engine 'warp' plays policies on scans alone; '{agent}' sees otherwise: {told}.")
-    if track != (learned.Learned.track, learned.Learned.sensor):
-        raise UsageError("The engine 'warp' plays the local track with lidar2d: leave --track and --sensor out.")
+def check_engine(
+    engine: str,
+    agent: Any,
+    make_agent: Any,
+    configs: Sequence[TaskConfig],
+    track: tuple[Any, Any],
+    called: str,
+    executor: Any,
+    paired: bool,
+) -> None:
+    """Raises UsageError where `engine` is no engine, or can't play what is asked: `agent`, of the factory `make_agent`,
+    on `track`, as for make_track."""
+    engine_limits(engine)
+    if engine_name(engine) == "native":
+        return
+    from bson.evaluation.device_agents import device_agent
+    from bson.simulation.batched import check_sensors
+    from bson.simulation.engines.warp import check_warp
+
     if executor != "local" or paired:
         raise UsageError("The engine 'warp' plays in this process, and no pairs: leave --executor and --paired out.")
+    if isinstance(make_agent, learned.Factory) and track != (make_agent.track, make_agent.sensor):
+        wanted = f"the {make_agent.track} track with {make_agent.sensor}"
+        raise UsageError(f"The engine 'warp' plays '{called}' on {wanted}: leave --track and --sensor out.")
+    seen = make_track(*track)
+    check_sensors(seen.sensors)
+    for config in dict.fromkeys(configs):
+        device_agent(agent, make_agent, config, seen, called)
+    check_warp()
 
 
 def shares(seeds: Sequence[int], total: int, executor: Executor) -> list[Sequence[int]]:

@@ -1,10 +1,5 @@
-"""Whole episodes on a device, for scoring: agents are JAX functions, all episodes run at once, and each becomes a
-`bson.episodes.record.Episode`.
-
-An agent is an object with `track` and `sensor`, as for `bson.interfaces.gym.BsonEnv`, and two pure functions of
-observations with a leading axis: `begin(observation) -> memory`, called at the start, and `act(memory, observation) ->
-(actions (N, 2), memory)`, called in each step, the first included.
-"""
+"""Whole episodes on a device, for scoring: agents are JAX functions (bson.evaluation.device_agents), all episodes run
+at once, and each becomes a `bson.episodes.record.Episode`."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,60 +8,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bson.agents import learned
+from bson.agents.contract import AgentError
 from bson.episodes.record import Episode, shortest_way
-from bson.features import SCANS, SECTORS, remember, vector
 from bson.interfaces.functional import BsonFuncEnv
 from bson.simulation.batched import COLLISIONS
+from bson.simulation.engines.warp import OutOfRoom
 from bson.simulation.pool import Drawn, draw_all
 from bson.task import TaskConfig, spawn
-from macid.networks import relu_mlp
 
 _CHUNK = 50  # control steps between two looks at whether all episodes are over
-
-
-class LearnedOnDevice:
-    """The agent `name` of bson.agents.learned, a shipped one or a .npz file, as JAX functions."""
-
-    track, sensor = learned.Learned.track, learned.Learned.sensor
-
-    def __init__(self, name: str):
-        agent = learned.load(name)()
-        self._top = agent.top
-        self._layers = [(jnp.asarray(weight), jnp.asarray(bias)) for weight, bias in agent.layers]
-        self._output = {"clip": lambda x: jnp.clip(x, -1.0, 1.0), "tanh": jnp.tanh}[agent.output]
-
-    def begin(self, observation: Any) -> Any:
-        """See the module."""
-        number = observation["lidar"].shape[0]
-        scans = jnp.zeros((number, SCANS[-1] + 1, SECTORS), jnp.float32)
-        return remember(scans, observation["lidar"], jnp.ones(number, bool)), jnp.bool_(True)
-
-    def act(self, memory: Any, observation: Any) -> Any:
-        """See the module."""
-        scans, first = memory
-        longer = remember(scans, observation["lidar"], jnp.zeros(scans.shape[0], bool))
-        scans = jnp.where(first, scans, longer)
-        x = vector(scans, observation, self._top)
-        with jax.default_matmul_precision("float32"):
-            return self._output(relu_mlp(self._layers, x)), (scans, jnp.bool_(False))
 
 
 def play(
     agent: Any,
     config: TaskConfig,
+    track: tuple[str, Any],
     seeds: Sequence[int],
     engine: Any = None,
     progress: Callable[..., object] | None = None,
+    name: str = "agent",
 ) -> list[Episode]:
-    """The Episodes `seeds` of `config` with `agent`, in that order. progress: called with the number of control steps
-    done since its last call, of all worlds together. engine: WarpConfig.
+    """The Episodes `seeds` of `config` with `agent`, JAX functions, on `track`, (track, sensor) as for
+    bson.episodes.tracks.make_track; in that order. progress: called with the number of control steps done since its
+    last call, of all worlds together. engine: WarpConfig. name: the agent's, for messages.
 
-    Raises RuntimeError where physics runs out of room.
+    Raises OutOfRoom where physics runs out of it, AgentError for an action that is not finite.
     """
     seeds = [int(seed) for seed in seeds]
-    track = {"track": agent.track, "sensor": agent.sensor}
-    env = BsonFuncEnv(**track, num_envs=len(seeds), engine=engine, task=config)
+    env = BsonFuncEnv(*track, num_envs=len(seeds), engine=engine, task=config)
     k = config.people
     transition, observation = jax.vmap(env.transition), jax.vmap(env.observation)
 
@@ -100,25 +69,30 @@ def play(
             state, memory = carry
             action, memory = agent.act(memory, observation(state))
             state = transition(state, action)
-            return (state, memory), record(state)
+            return (state, memory), {**record(state), "acted": jnp.isfinite(action).all(axis=-1)}
 
         return jax.lax.scan(one, (state, memory), None, length=_CHUNK)
 
     episodes = jax.tree.map(jnp.asarray, Drawn(*draw_all(config, seeds, env.has_map)))
     state, memory, first = begin(episodes)
-    parts = [{name: np.asarray(value)[None] for name, value in first.items()}]
+    parts = [{key: np.asarray(value)[None] for key, value in first.items()}]
     over = parts[0]["over"][0]
+    parts[0]["acted"] = np.ones((1, len(seeds)), bool)
     while not over.all():
         (state, memory), rows = chunk(state, memory)
         parts.append(jax.device_get(rows))
-        over = over | parts[-1]["over"].any(axis=0)
+        before, over = over, over | parts[-1]["over"].any(axis=0)
+        ended = np.cumsum(parts[-1]["over"], axis=0) - parts[-1]["over"] > 0  # in an earlier step of these
+        going = ~(before | ended)
+        if (going & ~parts[-1]["acted"]).any():
+            raise AgentError(f"Agent '{name}' returned an action that is not finite.")
         if lost := int(np.bitwise_or.reduce(parts[-1]["overflow"], axis=None)):
-            raise RuntimeError(env.world.engine.explain(lost))
+            raise OutOfRoom(env.world.engine.explain(lost))
         if progress:
-            progress(_CHUNK * len(seeds))
-    rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            progress(int(going.sum()))
+    rows = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     return [
-        _episode(config, seed, {name: value[:, row] for name, value in rows.items()}) for row, seed in enumerate(seeds)
+        _episode(config, seed, {key: value[:, row] for key, value in rows.items()}) for row, seed in enumerate(seeds)
     ]
 
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from bson.simulation.engines.warp import OutOfRoom
 from bson.simulation.pool import Pool
 from macid.state import GOAL_RADIUS
 
@@ -103,7 +104,7 @@ class DeviceWorlds:
         return self.pool.episodes
 
     def done(self, carry: Any) -> None:
-        """Counts the episodes that have begun up to `carry`. Raises RuntimeError where physics ran out of room."""
+        """Counts the episodes that have begun up to `carry`. Raises OutOfRoom where physics did."""
         self.count(self.tally(carry))
 
     @staticmethod
@@ -118,7 +119,7 @@ class DeviceWorlds:
         self.pool.used((begun - self._counted) % 2**32)
         self._counted = begun
         if lost:
-            raise RuntimeError(self.env.world.engine.explain(lost))
+            raise OutOfRoom(self.env.world.engine.explain(lost))
 
     def step(self, carry: Any, actions: jax.Array, episodes: Any) -> tuple[Any, Any]:
         """One control step of all worlds, see the class. actions: (num_envs, 2)."""

@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from bson.episodes.session import closed
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
-from bson.interfaces.gym import ACTION_SPACE, Specified, check_seed, frames_per_second
-from bson.simulation.engines.warp import WarpConfig
+from bson.interfaces.gym import ACTION_SPACE, Specified, check_seed, checked_action, frames_per_second
+from bson.simulation.engines.warp import warp_config
+from bson.simulation.pool import check_number
 from bson.simulation.world import check_worlds
 from macid.documents import shown
 
@@ -32,7 +34,8 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
 
     output: the kind of arrays for observations, rewards, ends and infos: "numpy", or "jax" or "torch" on the device,
     without a copy. With "jax" and "torch" `info["seed"]` (num_envs, 2) is in halves of 32 bits, the lower first, and
-    `info["fault"]` a bool. Actions may be of any of the three kinds. pool: how many episodes are kept ready; workers:
+    `info["fault"]` a bool. Actions may be of any of the three kinds; one on the device that is not finite can't be
+    refused without waiting for it, and ends the episode as a fault. pool: how many episodes are kept ready; workers:
     processes that draw them; None: as many as are needed. limits: a dict of fields of
     bson.simulation.engines.warp.WarpConfig.
     """
@@ -62,11 +65,13 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {', '.join(OUTPUTS)}, not {shown(output)}.")
         check_worlds("num_envs", num_envs)
+        check_number("pool", pool, 1)
+        check_number("workers", workers, 0)
         self._first_seed = _one_seed(seed)
         self._arguments = {"num_envs": num_envs, "track": track, "sensor": sensor, "seed": seed, "output": output}
         self._arguments |= {"pool": pool, "workers": workers, "limits": limits, **config}
         self.num_envs, self.render_mode, self._output = num_envs, None, output
-        engine = WarpConfig(**(limits or {}))
+        engine = warp_config(limits)
         self._func = BsonFuncEnv(track, sensor, num_envs, engine=engine, **config)
         self.config = self._func.config
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self.config)}
@@ -84,6 +89,8 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
             raise ValueError(
                 f"The engine 'warp' takes no options of reset: give {shown(next(iter(options)))} to make_vec."
             )
+        if self.closed:
+            raise closed()
         seed, self._first_seed = _one_seed(seed if seed is not None else self._first_seed), None
         if self._worlds is None:
             seed = int(np.random.default_rng().integers(*_NO_SEED)) if seed is None else seed
@@ -95,11 +102,15 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
             self._worlds.count(self._tally)
         self._carry, observation = self._worlds.begin()
         self._tally = None
-        return self._given((observation, self._infos(jax.vmap(self._func.state_info)(self._carry.states))))
+        # Copies, as the next step may use the memory of the states.
+        info = jax.tree.map(jnp.copy, jax.vmap(self._func.state_info)(self._carry.states))
+        return self._given((observation, self._infos(info)))
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One control step of every world; a world whose episode ended begins its next instead."""
         worlds, step = self._worlds, self._step
+        if self.closed:
+            raise closed()
         if self._carry is None or worlds is None or step is None:
             raise gymnasium.error.ResetNeeded("Call reset before step.")
         episodes = worlds.ready(2)  # 2: the last step may not be counted yet
@@ -128,21 +139,19 @@ class WarpVectorEnv(Specified, gymnasium.vector.VectorEnv):
         return carry, outcome, jax.vmap(self._func.state_info)(carry.states), self._worlds.tally(carry)
 
     def _taken(self, actions):
-        """`actions` (num_envs, 2) as a JAX array. Raises ValueError for another shape or values that are not finite."""
+        """`actions` (num_envs, 2) as a JAX array. Raises ValueError for another shape or values that are not finite, as
+        far as this can be told without waiting for the device."""
         if not isinstance(actions, jax.Array):
-            if hasattr(actions, "__dlpack__") and not isinstance(actions, np.ndarray):
-                actions = jnp.from_dlpack(actions)
-            else:
-                actions = np.asarray(actions, np.float32)
-                if not np.isfinite(actions).all():
-                    raise ValueError("An action must be finite.")
+            if not hasattr(actions, "__dlpack__") or isinstance(actions, np.ndarray | np.generic):
+                return jnp.asarray(checked_action(actions, (self.num_envs, 2)), jnp.float32)
+            actions = jnp.from_dlpack(actions.detach() if hasattr(actions, "detach") else actions)
         if actions.shape != (self.num_envs, 2):
             raise ValueError(f"An action must have shape {(self.num_envs, 2)}, not {actions.shape}.")
         return jnp.asarray(actions, jnp.float32)
 
     def _infos(self, info):
         if self._output == "numpy":
-            info = jax.device_get(info)
+            info = jax.tree.map(np.array, jax.device_get(info))
             low, high = info["seed"].astype(np.int64).T
             words = np.where(info["fault"], "physics failed", "").astype(object)
             info = {**info, "seed": low | high << 32, "fault": words}

@@ -28,7 +28,9 @@ from bson.learning import pieces
 from bson.learning.draw import EachEpisode, load_draw
 from bson.learning.keeper import BestKeeper, Keeper, collect_keeper, restore_keeper, started, wanted_keeper
 from bson.learning.pieces import Gru, Learner, Mlp
+from bson.simulation.engines.warp import WarpConfig, check_warp
 from bson.task import TaskConfig
+from macid import start
 from macid.files import UsageError, lock_folder
 from macid.learning import ppo
 from macid.learning.curves import (
@@ -235,16 +237,21 @@ class DevicePpo:
         learner = learner._replace(key=jax.random.key_data(key))
         return learner, stream, told, self.worlds.tally(stream.carry)
 
-    def run(self, learner: Any, stream: Any, number: int = 1) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
-        """`number` iterations; yields (Learner, Stream, figures {name: number}) after each. It reads figures one
-        iteration late, so that the device need not wait."""
+    def run(
+        self, learner: Any, stream: Any, number: int = 1, stop: Callable[[], bool] = lambda: False
+    ) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
+        """`number` iterations, or fewer, once stop() is true; yields (Learner, Stream, figures {name: number}) after
+        each. It reads figures one iteration late, so that the device need not wait: the last Learner and Stream that it
+        yields are those after all iterations whose figures it yielded."""
         waiting = []  # figures and tallies not read yet
-        for index in range(number + 1):
-            if index < number:
+        while number or waiting:
+            number = 0 if stop() else number
+            if number:
                 episodes = self.worlds.ready(self._ahead)
                 learner, stream, *news = self.iterate(learner, stream, episodes)
                 waiting.append(news)
-            if index:
+                number -= 1
+            if len(waiting) > 1 or (waiting and not number):
                 told, tally = waiting.pop(0)
                 self.worlds.count(tally)
                 yield learner, stream, {name: float(value) for name, value in jax.device_get(told).items()}
@@ -276,24 +283,27 @@ def train(
     seconds_between_checkpoints: float = 120.0,
     workers: int | None = None,
     tensorboard: bool = False,
+    limits: WarpConfig | None = None,
 ) -> pathlib.Path:
     """Trains `config` and returns the folder `out`/NAME-SEED with policy.npz, policy.json, config.json, curve.csv and a
     checkpoint. The policy is the one that scored best on validation episodes, played in native worlds.
 
     show: called after each update with the steps done and figures {name: value} of the episodes that ended in it, and
     after each validation with its scores. tensorboard: whether the curve and the validations are logged for TensorBoard
-    too. resume: goes on from the checkpoint, if there is one; the worlds are restored too, so that on a CPU, where
-    physics is deterministic, training goes on as if never interrupted. Raises UsageError if the folder has a training
-    of another configuration, if it has one of this configuration and `resume` is not set, or if another process trains
-    there.
+    too. limits: the engine's; a training can go on with others. resume: goes on from the checkpoint, if there is one;
+    the worlds are restored too, so that on a CPU, where physics is deterministic, training goes on as if never
+    interrupted. Ctrl-C leaves a checkpoint, once there is something to keep. Raises UsageError if the folder has a
+    training of another configuration, if it has one of this configuration and `resume` is not set, or if another
+    process trains there.
     """
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
+    check_warp()
     started(config)  # refuses a wrong policy before anything is written
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         keeper = BestKeeper(config, training_folder(path, config, resume))
-        trainer = DevicePpo(config, workers)
+        trainer = DevicePpo(config, workers, limits)
         held.callback(trainer.close)
         return _train(trainer, keeper, show, seconds_between_checkpoints, held if tensorboard else None)
 
@@ -326,7 +336,7 @@ def _restored(trainer, keeper):
 def _train(trainer, keeper, show, every, held):
     config, folder = trainer.config, keeper.folder
     learner, stream, used = _restored(trainer, keeper)
-    per, last = config.num_envs * config.hyperparameters.rollout, time.monotonic()
+    per, last, begun = config.num_envs * config.hyperparameters.rollout, time.monotonic(), len(keeper.curve)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, int(learner.done) * per))
 
@@ -336,25 +346,35 @@ def _train(trainer, keeper, show, every, held):
         write_checkpoint(folder, arrays, {"keeper": noted, "used": used + trainer.worlds.pool.begun})
         write_curve(folder / "curve.csv", keeper.curve)
 
-    while True:
-        done = int(learner.done)
-        steps, over = done * per, done >= config.updates
-        if steps // config.validate_every > len(keeper.validations) or (
-            over and not (keeper.validations and keeper.validations[-1]["steps"] == steps)
-        ):
-            show(steps, keeper.validate(trainer.layers(learner), "clip", steps), validation=True)
-            save()
-            keeper.write(steps)
-        if over:
-            return folder
-        for now in trainer.run(learner, stream, min(config.updates - done, _SITTING)):
-            learner, stream, figures = now
-            steps = (len(keeper.curve) + 1) * per
-            row = {"steps": steps, "seconds": round(keeper.seconds, 1), **figures}
-            keeper.curve.append(row)
-            if keeper.board:
-                keeper.board.write(row)
-            show(steps, figures)
-        if time.monotonic() - last > every:
-            last = time.monotonic()
-            save()
+    with start.deferred(lambda: len(keeper.curve) > begun) as interrupted:
+        while True:
+            done = int(learner.done)
+            steps, over = done * per, done >= config.updates
+            if steps // config.validate_every > len(keeper.validations) or (
+                over and not (keeper.validations and keeper.validations[-1]["steps"] == steps)
+            ):
+                try:
+                    scores = keeper.validate(trainer.layers(learner), "clip", steps, interrupted)
+                except KeyboardInterrupt:
+                    if len(keeper.curve) > begun:
+                        save()
+                    raise
+                show(steps, scores, validation=True)
+                save()
+                keeper.write(steps)
+            if over:
+                return folder
+            for now in trainer.run(learner, stream, min(config.updates - done, _SITTING), interrupted):
+                learner, stream, figures = now
+                steps = (len(keeper.curve) + 1) * per
+                row = {"steps": steps, "seconds": round(keeper.seconds, 1), **figures}
+                keeper.curve.append(row)
+                if keeper.board:
+                    keeper.board.write(row)
+                show(steps, figures)
+            if interrupted():
+                save()
+                raise KeyboardInterrupt
+            if time.monotonic() - last > every:
+                last = time.monotonic()
+                save()

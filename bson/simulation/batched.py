@@ -22,6 +22,7 @@ from bson.simulation.scene import build_spec
 from bson.task import TaskConfig, controller
 from macid import contacts as crowd_contacts
 from macid import geometry
+from macid.files import UsageError
 from macid.state import CONTACT_GAP, GOAL_RADIUS, RADIUS, CrowdState
 
 COLLISIONS = ("collisions", *contacts.COUNTERS)
@@ -61,6 +62,7 @@ class BatchedWorld:
 
     def __init__(self, config: TaskConfig, mounted: Any = (), nworld: int = 1, engine: Any = None):
         self.config, self.sensors, self.nworld = config, tuple(mounted), nworld
+        check_sensors(self.sensors)
         spec = build_spec(config, self.sensors, hidden=True)
         self.engine = WarpEngine(spec, config.people, engine)
         self.model = model = self.engine.model
@@ -104,7 +106,8 @@ class BatchedWorld:
         )
 
     def advance(self, state: Any, action: Any) -> Any:
-        """The State, not yet sensed, after a control step under `action` (2,) in [-1, 1]."""
+        """The State, not yet sensed, after a control step under `action` (2,) in [-1, 1]. An action that is not finite
+        is a fault."""
         command = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * self._limit
         wheels = robot.wheel_speeds(command, self.robot)
         ctrl = state.motion.ctrl.at[self._wheels].set(wheels.astype(jnp.float32))
@@ -115,6 +118,7 @@ class BatchedWorld:
         after = after._replace(steps=state.steps + 1)
         speed = jnp.abs(after.motion.qvel[: 3 * self._k + 6])
         sound = jnp.isfinite(after.motion.qpos).all() & (speed <= DIVERGED).all() & ~state.fault
+        sound &= jnp.isfinite(jnp.asarray(action)).all()
         still = state.motion._replace(qvel=jnp.zeros_like(state.motion.qvel))
         failed = state._replace(motion=still, fault=jnp.bool_(True), overflow=after.overflow)
         return _chosen(sound, after, failed)
@@ -261,6 +265,16 @@ def _mounted(model, body, place, quaternion, base="robot"):
     return place, turn
 
 
+def check_sensors(mounted: Any) -> None:
+    """Raises UsageError where one of the sensors `mounted` is none of those that are formulas here."""
+    for sensor in mounted:
+        if not isinstance(sensor, (sensors.Imu, sensors.Lidar, sensors.RgbCamera, sensors.DepthCamera)):
+            raise UsageError(
+                f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, "
+                "DepthCamera."
+            )
+
+
 def _bind(model, sensor, config):
     """The reading function of `sensor`: read(the robot's free joint (7,), rays.Solids, sensordata, the dict of
     pictures) -> reading."""
@@ -281,11 +295,8 @@ def _bind(model, sensor, config):
             return jnp.clip(distance, sensor.range_min, sensor.range_max)
 
         return read
-    if isinstance(sensor, (sensors.RgbCamera, sensors.DepthCamera)):
-        return _bind_camera(model, sensor)
-    raise ValueError(
-        f"The engine 'warp' has no {type(sensor).__name__}: it has Imu, Lidar2D, Lidar3D, RgbCamera, DepthCamera."
-    )
+    check_sensors([sensor])
+    return _bind_camera(model, sensor)
 
 
 def _bind_camera(model, sensor):

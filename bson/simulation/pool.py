@@ -27,7 +27,8 @@ from bson.simulation.data import MAP_RESOLUTION
 from bson.simulation.people import beside_companions, find_ways, next_goals
 from bson.simulation.scene import structure
 from bson.task import TaskConfig, spawn
-from macid import layout
+from macid import layout, start
+from macid.documents import shown
 from macid.routing import occupancy_grid
 from macid.state import PAPER_TRAITS, Traits
 
@@ -37,6 +38,12 @@ ROUTED_WAYPOINTS = 32
 _BLOCK = 64  # episodes that a worker draws at once
 _TRIED = 50  # settings of an episode that are tried, where there is no room for it
 _AWAY, _APART = 1000.0, 50.0  # where who is missing stands, and how far from each other [m]
+
+
+def check_number(name: str, value: Any, least: int) -> None:
+    """Raises ValueError unless `value` is None, for as many as are needed, or a whole number of at least `least`."""
+    if value is not None and not (isinstance(value, int) and not isinstance(value, bool) and value >= least):
+        raise ValueError(f"{name} must be None or a whole number of at least {least}, not {shown(value)}.")
 
 
 class Drawn(NamedTuple):
@@ -157,7 +164,8 @@ class _Worker:
     def __init__(self):
         command = [sys.executable, "-c", "from bson.simulation.pool import serve; serve()"]
         environment = {**os.environ, "JAX_PLATFORMS": "cpu"}  # a worker needs no accelerator
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        with start.quiet_children():  # it ends when this process ends or closes it
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         assert self._process.stdin and self._process.stdout
         self._asked, self._answered, self._lock = self._process.stdin, self._process.stdout, threading.Lock()
 

@@ -66,7 +66,7 @@ def engine_kind(text: str) -> tuple[Any, Any]:
     if name == "warp" and not has_warp():
         raise UsageError(f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (extra 'warp').")
     kind = getattr(importlib.import_module(module), attribute)
-    return kind, _options(name, kind.options, options)
+    return kind, read_options(name, kind.options, options)
 
 
 def make_engine(text: str, model: Any, number: int, boxes: Any, nworld: int) -> "Engine":
@@ -79,8 +79,9 @@ def make_engine(text: str, model: Any, number: int, boxes: Any, nworld: int) -> 
     return kind(model, number, boxes, nworld, options)
 
 
-def _options(name, kind, text):
-    """`kind`'s dataclass with the fields that `text`, FIELD=VALUE,..., gives. Raises UsageError."""
+def read_options(name: str, kind: Any, text: str) -> Any:
+    """The dataclass `kind` of the engine `name`, with the fields that `text`, FIELD=VALUE,..., gives. Raises
+    UsageError."""
     fields = {field.name: type(field.default) for field in dataclasses.fields(kind)}
     given = {}
     for part in filter(None, text.split(",")):

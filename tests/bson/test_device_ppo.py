@@ -1,6 +1,7 @@
 """PPO in worlds on a device."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -16,7 +17,7 @@ from bson.agents import learned
 from bson.features import Features, remember, vector
 from bson.interfaces.functional import BsonFuncEnv
 from bson.learning import device_ppo
-from bson.learning.device_ppo import DevicePpo, DevicePpoConfig, DeviceTrainConfig, Noted, train
+from bson.learning.device_ppo import DevicePpoConfig, DeviceTrainConfig, Noted, train
 from bson.simulation.pool import draw, draw_all
 from bson.simulation.scene import structure
 from macid.files import UsageError
@@ -68,18 +69,16 @@ def test_training_writes_what_numpy_runs_and_goes_on_as_if_it_was_not_interrupte
     train(config, tmp_path / "whole", resume=True, workers=0)  # there is nothing left to do
     assert (folder / "policy.npz").read_bytes() == before
 
-    once, sittings = DevicePpo.run, []
+    told = []
 
-    def stopped(self, *arguments):
-        if sittings:
-            raise KeyboardInterrupt
-        sittings.append(1)
-        return once(self, *arguments)
+    def stop(steps, figures, validation=False):
+        told.append(steps)
+        if len(told) == 1:
+            signal.raise_signal(signal.SIGINT)  # Ctrl-C
 
-    monkeypatch.setattr(DevicePpo, "run", stopped)
     with pytest.raises(KeyboardInterrupt):
-        train(config, tmp_path / "parts", seconds_between_checkpoints=0.0, workers=0)
-    monkeypatch.setattr(DevicePpo, "run", once)
+        train(config, tmp_path / "parts", show=stop, workers=0)
+    assert told == [16, 32]  # the second was already under way
     parts = train(config, tmp_path / "parts", resume=True, workers=0)
     one, other = (read_checkpoint(each, Noted)[0] for each in (folder, parts))
     assert one.keys() == other.keys()

@@ -22,9 +22,10 @@ draws = pytest.mark.skipif(gl.gl_problem() is not None, reason="needs OpenGL")
 @pytest.fixture
 def diagnose(monkeypatch):
     """Runs the checks of that name alone: whether all is well, and the lines."""
+    checks = doctor.CHECKS
 
     def run(name):
-        monkeypatch.setattr(doctor, "CHECKS", [check for check in doctor.CHECKS if check[0] == name])
+        monkeypatch.setattr(doctor, "CHECKS", [check for check in checks if check[0] == name])
         lines = []
         return doctor.run(lines.append), lines
 
@@ -66,6 +67,70 @@ def test_without_pictures_cameras_are_not_tried(diagnose, monkeypatch):
     monkeypatch.setattr(doctor, "_read", None)
     well, (line,) = diagnose("cameras")
     assert well and line.split()[:2] == ["without", "cameras"] and "no pictures here" in line
+
+
+CARDS = ("NVIDIA H100 80GB HBM3, 570.86, 81559 MiB", "NVIDIA H100 80GB HBM3, 570.86, 81559 MiB")
+
+
+@pytest.fixture
+def nvidia(tmp_path, monkeypatch):
+    """Puts an nvidia-smi in front of the machine's own: it prints `lines` and ends with `code`."""
+
+    def install(lines, code=0):
+        tool = tmp_path / "nvidia-smi"
+        tool.write_text("#!/bin/sh\n" + "".join(f"echo '{line}'\n" for line in lines) + f"exit {code}\n")
+        tool.chmod(0o755)
+        monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+
+    return install
+
+
+def test_without_a_gpu_it_is_said_what_runs_instead(diagnose, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(doctor, "_DRIVER", tmp_path / "none")
+    well, (line,) = diagnose("gpu")
+    assert well and line.split()[:2] == ["ok", "gpu"] and "no NVIDIA GPU here; JAX is on the cpu" in line
+    well, (line,) = diagnose("engines")
+    assert well and "crowds run on native (JAX has no GPU here); robots on native" in line
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    well, (line,) = diagnose("warp")
+    assert well and "not installed, and without a GPU not needed" in line
+
+
+def test_a_gpu_that_is_not_used_is_told_with_its_driver_and_what_to_do(diagnose, nvidia, monkeypatch):
+    nvidia(CARDS)
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    well, (line,) = diagnose("gpu")
+    assert well and line.split()[:2] == ["without", "gpu"]
+    assert line.count("NVIDIA H100 80GB HBM3, driver 570.86, 81559 MiB") == 2
+    assert "but JAX is on the cpu (JAX_PLATFORMS=cpu)" in line and "mend: install JAX for it" in line
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    well, (line,) = diagnose("warp")
+    assert well and line.split()[:2] == ["without", "warp"] and "mend: pip install 'bson-macid[warp]'" in line
+    well, (line,) = diagnose("engines")
+    assert "--engine warp needs the extra warp" in line
+
+
+@pytest.mark.parametrize(
+    ("lines", "code", "told"),
+    [
+        (("Failed to initialize NVML: Driver/library version mismatch",), 18, "code 18: Failed to initialize NVML"),
+        ((), 9, "code 9: no message"),
+    ],
+)
+def test_a_driver_that_does_not_work_is_told(diagnose, nvidia, lines, code, told):
+    nvidia(lines, code)
+    well, (line,) = diagnose("gpu")
+    assert well and line.split()[:2] == ["without", "gpu"] and told in line
+
+
+def test_another_version_of_warp_is_told(diagnose, monkeypatch):
+    warp = pytest.importorskip("warp")
+    well, (line,) = diagnose("warp")
+    assert well and line.split()[:2] == ["ok", "warp"] and warp.__version__ in line
+    monkeypatch.setattr(warp, "__version__", "0.9.0")
+    well, (line,) = diagnose("warp")
+    assert well and "warp-lang is 0.9.0, not 1." in line and line.split()[0] == "without"
 
 
 ROOT = pathlib.Path(macid.__file__).parents[1]

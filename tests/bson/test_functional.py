@@ -18,7 +18,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import make_track
 from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
-from bson.sensors import Imu, Lidar2D
+from bson.sensors import Imu, Lidar2D, Lidar3D
 from bson.simulation.batched import COLLISIONS
 from bson.simulation.engines import warp
 from bson.simulation.pool import Pool
@@ -112,6 +112,38 @@ def test_slim_people_with_speeds_of_their_own_and_companions_move_alike():
     places = states.motion.qpos[:, : 3 * 6].reshape(2, 6, 3)
     np.testing.assert_allclose(places[..., :2], world.people[..., :2], atol=1e-2)
     np.testing.assert_allclose(states.nearest_person, world.nearest_person, atol=1e-2)
+
+
+def test_among_routes_people_and_the_beams_of_a_3d_lidar_are_the_native_ones():
+    """On a map with routes. After each step a native world is put into the device's state, and sees the same."""
+    sensors = (Lidar3D(), Lidar2D(noise=0.0, key="flat", beams=90, yaw=1.0, pitch=0.1, range_max=4.0))
+    setting = {"map": "corridor-flow", "num_pedestrians": 6, "goal_distance": (10.0, 19.0)}
+    env = BsonFuncEnv("local", sensors, 2, seed=SEED, pool=2, **setting)
+    session, wanted = _native(env, 2)
+    world, every, rng = session.world, np.arange(2), np.random.default_rng(1)
+    initial, step = jax.jit(jax.vmap(env.initial, in_axes=(0, None))), jax.jit(jax.vmap(env.transition))
+    states = initial(jnp.arange(2), env.default_params)
+    assert (np.asarray(states.drawn.turns) > 1).any()  # ways have waypoints
+    np.testing.assert_allclose(jax.vmap(env.world.headings)(states), world.people_goals, atol=1e-4)
+    seen = _observed(env, states)
+    for key in ("lidar3d", "flat"):
+        assert seen[key].shape == wanted[key].shape
+        np.testing.assert_allclose(seen[key], wanted[key], atol=1e-4, err_msg=key)
+    assert (wanted["flat"] == 4.0).any() and (wanted["lidar3d"] == 100.0).any()  # what meets nothing reads the range
+    onlooker, _ = _native(env, 2)
+    for _ in range(4):
+        action = rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
+        states = step(states, action)
+        session.step(every, action)
+        np.testing.assert_allclose(states.motion.qpos[:, :18], world.qpos[:, :18], atol=2e-3)
+        onlooker.world.engine.qpos[:] = np.asarray(states.motion.qpos)
+        onlooker.world.place(every)
+        seen, wanted = _observed(env, states), onlooker.observe(every)
+        for key in ("lidar3d", "flat"):
+            off = np.abs(seen[key] - wanted[key])
+            edges = off > 1e-4 * np.maximum(1.0, wanted[key] / 10.0)  # a beam that just passes somebody
+            assert edges.mean() < 1e-3, key
+    assert (states.counts == np.stack([getattr(world, name) for name in COLLISIONS], axis=-1)).all()
 
 
 def _placed(states, session, pose, people=None):
@@ -247,27 +279,82 @@ def test_vector_form_goes_on_with_other_episodes():
     assert seeds == [9, 10, 11, 12]
 
 
-@pytest.mark.parametrize("output", ["jax", pytest.param("torch", marks=pytest.mark.slow)])
-def test_vector_form_gives_arrays_of_the_device(output):
-    kind = jax.Array if output == "jax" else pytest.importorskip("torch").Tensor
+def _kept(*parts):
+    """{name: a copy} of the arrays in dicts."""
+    return {name: np.array(np.asarray(value)) for part in parts for name, value in part.items() if value is not None}
+
+
+@pytest.mark.parametrize("output", ["numpy", "jax", pytest.param("torch", marks=pytest.mark.slow)])
+def test_vector_form_gives_arrays_of_the_device_that_no_later_step_touches(output):
+    torch = pytest.importorskip("torch") if output == "torch" else None
+    kind = {"numpy": np.ndarray, "jax": jax.Array, "torch": getattr(torch, "Tensor", None)}[output]
     env = _vector("numpy")
-    env.reset(seed=7)
     env.unwrapped._output = output
     try:
-        actions = jnp.zeros((2, 2)) if output == "jax" else __import__("torch").zeros((2, 2))
+        first = env.reset(seed=7)
+        kept = _kept(*first)
+        actions = torch.ones((2, 2), requires_grad=True) if torch else jnp.ones((2, 2))
         seen, reward, terminated, truncated, info = env.step(actions)
         assert all(isinstance(value, kind) for value in [*seen.values(), reward, terminated, truncated, info["pose"]])
+        after = _kept(seen, info)
+        env.step(np.zeros((2, 2)))
+        for name, value in _kept(*first).items():
+            np.testing.assert_array_equal(value, kept[name], err_msg=name)
+        for name, value in _kept(seen, info).items():
+            np.testing.assert_array_equal(value, after[name], err_msg=name)
+        if output == "numpy":
+            assert all(value.flags.writeable for value in [*seen.values(), reward, *info.values()])
     finally:
         env.unwrapped._output = "numpy"
+
+
+def test_equal_seeds_give_equal_episodes_and_an_action_that_is_not_finite_a_fault():
+    env, seen = _vector("numpy"), []
+    for _ in range(2):
+        env.reset(seed=11)
+        seen.append([env.step(np.full((2, 2), 0.4))[0] for _ in range(3)])
+    for one, other in zip(*seen, strict=True):
+        for name, value in one.items():
+            np.testing.assert_array_equal(value, other[name], err_msg=name)
+    env.reset(seed=11)
+    for wrong in (np.full((2, 2), np.nan), np.zeros(2), [["a", 1], [0, 0]]):
+        with pytest.raises(ValueError, match="An action must"):
+            env.step(wrong)
+    *_, truncated, info = env.step(jnp.array([[0.0, 0.0], [jnp.nan, 0.0]]))
+    assert truncated.tolist() == [False, True] and info["fault"].tolist() == ["", "physics failed"]
+    seen, *_, info = env.step(np.zeros((2, 2)))
+    assert info["seed"].tolist() == [11, 13] and env.observation_space.contains(seen)
 
 
 def test_what_the_vector_form_lacks_is_told_in_one_line():
     with pytest.raises(ValueError, match="native"):
         gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="cuda")
-    refused = {"numpy": {"output": "list"}, "NextStep": {"autoreset_mode": "SameStep"}, "one seed": {"seed": [1, 2]}}
+    refused = {
+        "numpy, jax, torch, not 'list'": {"output": "list"},
+        "NextStep": {"autoreset_mode": "SameStep"},
+        "one seed": {"seed": [1, 2]},
+        "pool must be None or a whole number of at least 1, not -5": {"pool": -5},
+        "pool must be .*, not 2.5": {"pool": 2.5},
+        "workers must be .* at least 0, not 'x'": {"workers": "x"},
+        r"limits must be a dict of fields of WarpConfig, solver, .*, not \{'foo': 1\}": {"limits": {"foo": 1}},
+        "contacts must be a number of at least 0, not nan": {"limits": {"contacts": float("nan")}},
+        "rows must be a number of at least 0, not -20.0": {"limits": {"rows": -20.0}},
+        "iterations must be a whole number of at least 1, not 0": {"limits": {"iterations": 0}},
+        "graph must be True or False, not 'yes'": {"limits": {"graph": "yes"}},
+        "solver must be one of newton, cg, not 'lu'": {"limits": {"solver": "lu"}},
+    }
     for words, arguments in refused.items():
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=words) as caught:
             gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=2, engine="warp", **arguments)
+        assert "\n" not in str(caught.value)
+    small = gymnasium.make_vec("BSON/LocalLidar2D-v0", num_envs=3, engine="warp", pool=2, workers=0, **SMALL)
+    with pytest.raises(ValueError, match="A pool of 2 episodes can't have 3 ready: give it a larger size"):
+        small.reset(seed=1)
+    for _ in range(2):
+        small.close()
+    for call in (lambda: small.step(np.zeros((3, 2))), lambda: small.reset(seed=1)):
+        with pytest.raises(gymnasium.error.ClosedEnvironmentError):
+            call()
 
 
 @pytest.mark.slow
@@ -297,6 +384,28 @@ def test_every_environment_has_both_forms(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", bson.ENVIRONMENTS)
+def test_every_environment_s_vector_form_keeps_to_its_spaces(name):
+    env = gymnasium.make_vec(name, num_envs=1, engine="warp", workers=0, **SMALL)
+    native = gymnasium.make_vec(name, num_envs=1, **SMALL)
+    assert env.observation_space == native.observation_space and env.action_space == native.action_space
+    (seen, info), (_, told) = env.reset(seed=4), native.reset(seed=4)
+    kinds = ({key: (value.dtype.kind, value.shape) for key, value in each.items()} for each in (info, told))
+    assert next(kinds) == next(kinds)
+    env.action_space.seed(0)
+    seeds = []
+    for _ in range(2 * SMALL["horizon"] + 1):
+        assert env.observation_space.contains(seen)
+        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert reward.shape == terminated.shape == truncated.shape == (1,) and np.isfinite(reward).all()
+        assert not (terminated & truncated).any() and info["fault"][0] == ""
+        seeds.append(int(info["seed"][0]))
+    assert sorted(set(seeds)) == list(range(4, 4 + len(set(seeds)))) and len(set(seeds)) >= 2
+    env.close()
+    native.close()
+
+
+@pytest.mark.slow
 def test_noise_and_rates_are_those_of_the_sensors():
     sensors = Imu(noise=1.0), Lidar2D(noise=20.0, rate=5.0), Lidar2D(key="clean")
     env = BsonFuncEnv("local", sensors, 2, seed=5, **SMALL)
@@ -314,17 +423,19 @@ def test_noise_and_rates_are_those_of_the_sensors():
 
 @pytest.mark.slow
 def test_a_shipped_policy_scores_alike_on_a_device():
+    from bson.evaluation.device_agents import device_agent
     from bson.evaluation.metrics import measure
-    from bson.evaluation.on_device import LearnedOnDevice, play
+    from bson.evaluation.on_device import play
     from bson.evaluation.play import run_episodes
 
     config = TaskConfig(
         num_pedestrians=3, pedestrian_model="standing", map_size=14.0, goal_distance=(5.0, 9.0), horizon=150
     )
     seeds = [3, 4, 5, 6]
-    ours = play(LearnedOnDevice("ppo"), config, seeds)
     agent = learned.load("ppo")
-    native = run_episodes(agent, config, make_track(agent.track, agent.sensor), seeds)
+    track = make_track(agent.track, agent.sensor)
+    ours = play(device_agent("ppo", agent, config, track), config, (agent.track, agent.sensor), seeds)
+    native = run_episodes(agent, config, track, seeds)
     for one, other in zip(ours, native, strict=True):
         assert (one.seed, one.arrived) == (other.seed, other.arrived)
         np.testing.assert_allclose(one.boxes, other.boxes)
@@ -337,7 +448,7 @@ def test_a_shipped_policy_scores_alike_on_a_device():
 
 def test_what_the_engine_can_not_score_is_told_in_one_line(tmp_path):
     for words, arguments in {
-        "learned policies, ": {},
+        "learned policies, and functions that JAX can trace, not 'vfh'": {},
         "no pairs": {"paired": True},
         "--track": {"track": "global"},
     }.items():
@@ -365,14 +476,15 @@ def test_room_that_runs_out_is_told_by_the_number_to_raise():
 def test_contacts_that_find_no_room_are_an_error():
     env = gymnasium.make_vec(
         "BSON/LocalLidar2D-v0",
-        num_envs=3,
+        num_envs=20,
         engine="warp",
         sensor=(),
         num_pedestrians=0,
-        limits={"contacts": -20.0},
+        limits={"contacts": 0.0},
         workers=0,
-    )  # room for four, of which three robots have twelve wheels
+    )  # room for 64, and twenty robots have eighty wheels
     env.reset(seed=0)
-    env.step(np.zeros((3, 2)))
+    env.step(np.zeros((20, 2)))
     with pytest.raises(RuntimeError, match=r"raise WarpConfig\.contacts"):  # told by the step after
-        env.step(np.zeros((3, 2)))
+        env.step(np.zeros((20, 2)))
+    env.close()

@@ -17,7 +17,7 @@ from bson.agents.guide import MapSight, ScanSight, grown_by
 from bson.agents.ways import Ways
 from bson.episodes.session import Session
 from bson.episodes.tracks import TRACKS, make_track
-from bson.evaluation.executors import check_engine
+from bson.evaluation.device_agents import device_agent
 from bson.evaluation.suites import load_suite, suite_names
 from bson.planners import Grid, path_cost, plan
 from bson.task import TaskConfig
@@ -257,8 +257,12 @@ def test_policies_are_read_as_they_were_written(inputs, tmp_path):
     blind = Setting.of(TaskConfig(), make_track(kind.track, "lidar3d"))
     with pytest.raises(Unsuited, match="needs a (Lidar2D|DepthCamera)"):
         factory(blind)
-    with pytest.raises(UsageError, match="plays policies on scans alone"):
-        check_engine("warp", str(tmp_path / "mine.npz"), (kind.track, kind.sensor), "local", False)
+    asked = "mine.npz", factory, TaskConfig(), make_track(kind.track, kind.sensor), "mine.npz"
+    if inputs in ("camera", "gru-scans"):
+        device_agent(*asked)
+    else:
+        with pytest.raises(UsageError, match=f"see scans, gru-scans, camera; 'mine.npz' sees {inputs}"):
+            device_agent(*asked)
 
     recipe["inputs"] = "scans"
     (tmp_path / "mine.json").write_text(json.dumps(recipe))

@@ -23,9 +23,18 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from macid.documents import is_number, shown
 from macid.engines import WARP_PACKAGE, has_warp
 from macid.files import UsageError
 
+# Of WarpConfig's numbers, the least valid one and the kind.
+_NUMBERS = (
+    ("iterations", 1, int),
+    ("ls_iterations", 1, int),
+    ("tolerance", 0, float),
+    ("contacts", 0, float),
+    ("rows", 0, float),
+)
 SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
 
@@ -49,7 +58,27 @@ class WarpConfig:
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, not {self.solver!r}.")
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, not {shown(self.solver)}.")
+        for name, least, kind in _NUMBERS:
+            value = getattr(self, name)
+            if not is_number(value, least) or (kind is int and not isinstance(value, int)):
+                what = "a whole number" if kind is int else "a number"
+                raise ValueError(f"{name} must be {what} of at least {least}, not {shown(value)}.")
+        if not isinstance(self.graph, bool):
+            raise ValueError(f"graph must be True or False, not {shown(self.graph)}.")
+
+
+def warp_config(limits: Any = None) -> WarpConfig:
+    """The WarpConfig with `limits`, a dict of its fields, or None. Raises ValueError, naming the valid ones."""
+    names = [field.name for field in dataclasses.fields(WarpConfig)]
+    if not (limits is None or isinstance(limits, dict)) or set(limits or ()) - set(names):
+        raise ValueError(f"limits must be a dict of fields of WarpConfig, {', '.join(names)}, not {shown(limits)}.")
+    return WarpConfig(**(limits or {}))
+
+
+class OutOfRoom(UsageError, RuntimeError):
+    """Physics had too little room for contacts or constraint rows: its results are wrong. The text names the number to
+    raise."""
 
 
 class Motion(NamedTuple):
@@ -61,13 +90,18 @@ class Motion(NamedTuple):
     ctrl: Any  #: (nu,)
 
 
-@functools.cache
-def _warp():
-    """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
+def check_warp() -> None:
+    """Raises UsageError where Warp is not installed."""
     if not has_warp():
         raise UsageError(
             f"The engine 'warp' needs the package warp-lang: pip install {WARP_PACKAGE} (the extra 'warp')."
         )
+
+
+@functools.cache
+def _warp():
+    """(warp, mujoco_warp, the functions that JAX calls). Raises UsageError where Warp is not installed."""
+    check_warp()
     import warp
     from mujoco.mjx.third_party import mujoco_warp
 
@@ -172,10 +206,14 @@ class WarpEngine:
         told = []
         if overflow & _ROWS:
             told.append(
-                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g})"
+                f"a world needs more than {self.rows} constraint rows: raise WarpConfig.rows ({self.config.rows:g}), "
+                f"as by --engine warp:rows={2 * self.config.rows or 6:g}"
             )
         if overflow & ~_ROWS:
-            told.append(f"there are too many contacts: raise WarpConfig.contacts ({self.config.contacts:g} a world)")
+            told.append(
+                f"there are too many contacts: raise WarpConfig.contacts ({self.config.contacts:g} a world), as by "
+                f"--engine warp:contacts={2 * self.config.contacts or 16:g}"
+            )
         return "Physics ran out of room: " + "; ".join(told) + "."
 
     def _placed(self, boxes):
