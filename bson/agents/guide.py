@@ -169,13 +169,24 @@ class ScanSight(MappedTracking):
         return self.aim, beyond, length
 
     def _plan(self, step):
-        """Looks for a way where there is none, or walls were found on it, or the last look was long ago."""
+        """Looks for a way where there is none, or walls or standing people were found on it, or the last look was long
+        ago. Where people stand in all ways, it leads as if they were not there."""
         assert self._map is not None
-        occupied = self._map.occupied
+        people, stand = self.crowd()
+        walls, standing = self._map.occupied, self._map.marked(people[stand])
+        occupied = walls | grown_by(standing, self.config.person_radius, self._map.resolution)
         old = self._ways is None or step - self._planned >= self._replan
         if self._ways is not None and not old and not self._ways.blocked(occupied[self._part], self._position):
             return
+        self._planned = step
+        self._ways = self._ways_around(occupied)
+        if standing.any() and not self._ways.lead_from(self._position):
+            self._ways = self._ways_around(walls)
+
+    def _ways_around(self, occupied):
+        """The ways around what is `occupied`, a (rows, columns) of the map."""
         # No shortest way leaves the rectangle around its ends and all walls by more than it keeps off them.
+        assert self._map is not None
         radius, size = self._setting.robot.radius + MARGIN, self._map.resolution
         ends = np.floor((np.stack([self._position, np.zeros(2)]) - self._map.origin) / size).astype(int)[:, ::-1]
         inside = np.concatenate([np.argwhere(occupied), ends.clip(0, np.array(occupied.shape) - 1)])
@@ -183,5 +194,4 @@ class ScanSight(MappedTracking):
         low = np.maximum(inside.min(axis=0) - border, 0)
         self._part = tuple(map(slice, low, inside.max(axis=0) + border + 1))
         grown = grown_by(occupied[self._part], radius, size)
-        self._ways = Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))
-        self._planned = step
+        return Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))

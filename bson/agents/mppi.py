@@ -7,8 +7,10 @@ each of them, and judges the ways by a cost S: the time that the robot will need
 touch. The new plan is the mean of the sequences weighted by exp(-S / temperature). The agent drives the plan's first
 command.
 
-- The rest of the way, beyond the horizon, costs what the shortest way around the walls costs from there: a field over
-  the whole map that solves the eikonal equation (`bson.planners.way_field`).
+- The rest of the way, beyond the horizon, costs what the best way around walls and crowds costs from there: a field
+  over the whole map that solves the eikonal equation (`bson.planners.way_field`) anew every second. A metre of way
+  costs more the denser people are there, and much more close to somebody who stands: crowds that jam at a corner or in
+  a door leave no way for minutes, and who drives into them does not come out.
 - People are predicted for as long as the horizon (`MppiPolicy` says otherwise): they keep their velocity. The room that
   they are given grows with how far ahead they are predicted.
 - Some of the sequences come from other controllers than the last plan, as in Biased-MPPI (Trevisan and Alonso-Mora,
@@ -28,11 +30,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import ndimage
 
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView
-from bson.agents.rollout import RolloutConfig, going_on, robot_row, rollout
-from bson.agents.rollout import gap as gap_to
+from bson.agents.rollout import RolloutConfig, gaps, going_on, robot_row, rollout
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
 from macid.state import FAR_AWAY, GOAL_RADIUS
@@ -58,7 +60,9 @@ class MppiConfig(RolloutConfig):
     people: int = 24  # number of the nearest people who count
     person_room: float = 0.3  # a gap that is smaller costs
     person_growth: float = 0.2  # growth of that room for each second ahead [m/s]
-    person_weight: float = 100.0  # of a touch [points/s]
+    person_weight: float = 200.0  # of a touch [points/s]
+    press_weight: float = 20.0  # of more people than one around the robot [points/s], beside what each gap costs
+    press_gap: float = 0.4  # over which somebody counts e times less as being around
     give: float = 0.02  # a way that leads so far into people, beyond what they walk into the robot, does not come out
     patience: float = 1.2  # time constant with which what comes later counts less
     wall_gap: float = 0.1  # beside the radius; a smaller gap counts as a touch
@@ -68,6 +72,16 @@ class MppiConfig(RolloutConfig):
     time_weight: float = 6.0  # [points/s]
     length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
+
+    remap: float = 1.0  # between two looks at the whole map, as people move on it
+    standing_time: float = 1.5  # of the running mean of people's velocities
+    standing_speed: float = 0.3  # whose running mean is slower stands
+    standing_room: float = 0.1  # between half the robot's width and somebody who stands
+    standing_comfort: float = 0.5  # further distance within which a metre of way costs more
+    standing_cost: float = 12.0  # of a metre of way nearer than that room
+    crowd_spread: float = 1.5  # standard deviation of the kernel by which people's density is told
+    crowd_free: float = 0.3  # density that costs nothing [1/m2]
+    crowd_cost: float = 4.0  # of a metre of way for each person/m2 above it
 
     margin: float = 0.12  # beside the radius: the least distance between ways and walls where there is room
     comfort: float = 0.5  # further distance from walls within which a metre of way costs more
@@ -121,10 +135,25 @@ class Controller:
         least = self.radius + c.margin
         return rate_by_clearance(occupied, clear, least, c.comfort, c.comfort_cost, c.blocked_cost)
 
-    def set_map(self, grid: Grid, goal: np.ndarray) -> None:
-        """Takes a new map or goal."""
+    def crowd(self, grid: Grid, people: np.ndarray, standing: np.ndarray) -> np.ndarray:
+        """What a metre of way costs more in each cell (rows, columns) among `people` (n, 2) [m], of whom some are
+        `standing` (n,) bool: people who stand close together leave no way, and a crowd that moves delays."""
+        c = self.config
+        density = _counted(grid, people) / grid.resolution**2
+        density = np.asarray(ndimage.gaussian_filter(density, c.crowd_spread / grid.resolution))
+        cost = c.crowd_cost * np.maximum(density - c.crowd_free, 0.0)
+        free = _counted(grid, people[standing]) == 0
+        if not free.all():
+            distance = np.asarray(ndimage.distance_transform_edt(free)) * grid.resolution
+            least = float(self._person_radius) + float(self._robot[4]) + c.standing_room
+            cost += c.standing_cost * np.clip(1.0 - (distance - least) / c.standing_comfort, 0.0, 1.0)
+        return cost
+
+    def set_map(self, grid: Grid, goal: np.ndarray, people: np.ndarray, standing: np.ndarray) -> None:
+        """Takes a map with a goal (2,), and `people` (n, 2) [m] on it, of whom some are `standing` (n,) bool."""
         self._grid, self._goal = grid, np.asarray(goal, np.float32)
-        way = way_field(grid, goal, self.rate(grid.occupied, grid.clearance))
+        rate = self.rate(grid.occupied, grid.clearance) + self.crowd(grid, people, standing)
+        way = way_field(grid, goal, rate)
         self._ways = np.pad(way, PATCH // 2, mode="edge")
         self._clear = np.pad(np.asarray(grid.clearance, np.float32), PATCH // 2)
 
@@ -157,6 +186,13 @@ class Controller:
         self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
         self.planned = way + pose[:2]
         return np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
+
+
+def _counted(grid, people):
+    """The number (rows, columns) of `people` (n, 2) in each cell."""
+    cells, count = grid.cells(people), np.zeros(grid.shape)
+    np.add.at(count, tuple(cells[((cells >= 0) & (cells < grid.shape)).all(axis=-1)].T), 1.0)
+    return count
 
 
 def _lookup(world, x, y):
@@ -209,14 +245,17 @@ def _costs(config, world, x, y, yaw, v):
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
     people = jnp.swapaxes(world.people, 0, 1)
-    gap = gap_to(world.robot, x, y, yaw, people, world.person_radius)
+    each = gaps(world.robot, x, y, yaw, people, world.person_radius)
+    gap = jnp.min(each, axis=-1)
     still = jnp.broadcast_to(world.state[:3, None, None], (3, x.shape[0], 1))
-    standing = gap_to(world.robot, still[0], still[1], still[2], people, world.person_radius)
+    standing = jnp.min(gaps(world.robot, still[0], still[1], still[2], people, world.person_radius), axis=-1)
     into = gap < jnp.minimum(standing, 0.0) - c.give  # by the robot's own motion
     least = jax.lax.cummin(jnp.where(into, gap, jnp.inf), axis=0)
     gap = jnp.minimum(gap, least)  # no way leads through somebody
     risk = jnp.maximum(1.0 - gap / (c.person_room + c.person_growth * times), 0.0) ** 2
     cost = c.person_weight * jnp.sum(weight * risk, axis=0)
+    around = jnp.sum(jnp.exp(-jnp.maximum(each, 0.0) / c.press_gap), axis=-1)
+    cost += c.press_weight * jnp.sum(weight * jnp.maximum(around - 1.0, 0.0), axis=0)
     place = _lookup(world, x, y)
     clear = _read(world.clearance.ravel(), place)
     through = step * jnp.sum(jnp.abs(v) * going * (clear < world.robot[4]), axis=0)  # no way leads through a wall
@@ -287,24 +326,35 @@ class Mppi:
         self.config = config
         self._view = GlobalView(setting)
         self._controller = Controller(setting, config)
+        self._remap, self._share = setting.steps(config.remap), min(1.0, setting.control_period / config.standing_time)
         self.reset(0)
 
     def reset(self, seed: int | None = None) -> None:
         """Begins an episode; samples are drawn from `seed`."""
         self._view.reset()
         self._controller.reset(seed)
-        self._known = False
+        self._steps, self._mean, self._standing = 0, None, np.zeros(0, bool)
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
         view, control = self._view, self._controller
         view.see(observation)
-        if not self._known:
-            control.set_map(view.map, view.goal)
-            self._known = True
+        self._look()
         distance = np.hypot(*(view.people - view.pose[:2]).T)
         near = np.argsort(distance, kind="stable")[: self.config.people]
         return control.decide(view.pose, np.asarray(observation["velocity"], float), self._predicted(near))
+
+    def _look(self):
+        """Looks now and then where people stand, and plans the way anew."""
+        view, c = self._view, self.config
+        if self._mean is None:
+            self._mean = np.full(view.people.shape, c.standing_speed)
+        elif self._steps > 0:
+            self._mean += self._share * (view.people_velocity - self._mean)
+        self._standing = np.hypot(*self._mean.T) < c.standing_speed
+        if self._steps % self._remap == 0:
+            self._controller.set_map(view.map, view.goal, view.people, self._standing)
+        self._steps += 1
 
     def _predicted(self, near):
         """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""

@@ -25,7 +25,7 @@ class MppiLocalConfig(MppiConfig, TrackingConfig):
     """What `MppiLocal` assumes and weighs. Metres, seconds."""
 
     map_share: float = 1.5  # side of the agent's map, in sides of the world's
-    remap: float = 0.3  # between two looks at the whole map
+    remap: float = 0.3  # between two looks at the whole map, as more of it is seen
     coarse: int = 2  # cells of the map in a side of a cell of the far field
 
 
@@ -53,7 +53,7 @@ class MppiLocal(MappedTracking):
         self.see(goal, velocity, observation)
         if step % self._remap == 0 or step < 4:
             assert self._map is not None
-            self._controller.set_map(self._map.grid, np.zeros(2))
+            self._controller.set_map(self._map.grid, np.zeros(2), *self.crowd())
         places, velocities = self.people
         near = np.argsort(np.hypot(*places.T), kind="stable")[: self.config.people]
         places = places[near] @ self._rotation.T + self._position
@@ -67,12 +67,12 @@ class _OwnMap(Controller):
 
     config: MppiLocalConfig
 
-    def set_map(self, grid: Grid, goal: np.ndarray) -> None:
-        """Takes the map as it is known by now, and the goal."""
+    def set_map(self, grid: Grid, goal: np.ndarray, people: np.ndarray, standing: np.ndarray) -> None:
+        """Takes the map as it is known by now, the goal, and the people who are known of."""
         clear = (np.asarray(ndimage.distance_transform_edt(~grid.occupied)) - 0.5) * grid.resolution
         if not grid.occupied.any():
             clear = np.full(grid.shape, 100.0)
-        rate = self.rate(grid.occupied, clear)
+        rate = self.rate(grid.occupied, clear) + self.crowd(grid, people, standing)
         n = self.config.coarse
         least = rate.reshape(grid.shape[0] // n, n, grid.shape[1] // n, n).min(axis=(1, 3))
         rough = Grid(np.zeros(least.shape, bool), n * grid.resolution, grid.origin)

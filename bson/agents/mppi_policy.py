@@ -2,8 +2,8 @@
 
 For the first second the policy itself decides for the nearest people, in a rollout of what the Global observation
 holds: everybody's place and velocity, the walls, and the way that the robot planned at its last decision. Where people
-want to go, and of what temper they are, is in no observation: they are taken to want to go on as they walk, and to have
-one temper. After that second they keep their velocity.
+want to go, and of what temper they are, is in no observation: they are taken to want to go on as they walk, or to stay
+where they stand, and to have one temper. After that second they keep their velocity.
 """
 
 import functools
@@ -78,6 +78,8 @@ class MppiPolicy(Mppi):
         after = times > c.decisions * _STEP
         last = (foreseen[-1] - foreseen[-2]) / _STEP
         ways[:, after] = going_on(foreseen[-1], last, times[after] - c.decisions * _STEP)
+        stays = self._standing[near]
+        ways[stays] = going_on(place[stays], velocity[stays], times)
         return ways
 
     def _turned(self, velocity):

@@ -62,14 +62,18 @@ def rollout(
     return jax.lax.scan(advance, start, (commands, *given))[1]
 
 
-def gap(robot: Any, x: Any, y: Any, yaw: Any, discs: Any, radius: Any) -> Any:
-    """The least gaps (T, N) [m] between the `robot`'s footprint at x, y, yaw (T, N) and `discs` of `radius` [m] at (T,
-    K, 2); where a disc's middle is within the footprint, -radius."""
+def gaps(robot: Any, x: Any, y: Any, yaw: Any, discs: Any, radius: Any) -> Any:
+    """The gaps (T, N, K) [m] between the `robot`'s footprint at x, y, yaw (T, N) and `discs` of `radius` [m] at (T, K,
+    2); where a disc's middle is within the footprint, -radius."""
     dx, dy = discs[:, None, :, 0] - x[..., None], discs[:, None, :, 1] - y[..., None]
     cos, sin = jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None]
     ahead, aside = jnp.abs(cos * dx + sin * dy) - robot[3], jnp.abs(cos * dy - sin * dx) - robot[4]
-    squared = jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2
-    return jnp.sqrt(jnp.min(squared, axis=-1)) - radius
+    return jnp.sqrt(jnp.maximum(ahead, 0.0) ** 2 + jnp.maximum(aside, 0.0) ** 2) - radius
+
+
+def gap(robot: Any, x: Any, y: Any, yaw: Any, discs: Any, radius: Any) -> Any:
+    """The least of `gaps` (T, N) [m]."""
+    return jnp.min(gaps(robot, x, y, yaw, discs, radius), axis=-1)
 
 
 def going_on(places: np.ndarray, velocities: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -41,6 +41,12 @@ class ScanMap:
         """The map as a Grid."""
         return Grid(self.occupied, self.resolution, self.origin)
 
+    def marked(self, places: np.ndarray) -> np.ndarray:
+        """The cells (rows, columns) in which the `places` (n, 2) [m] are."""
+        found, cells = np.zeros(self._count.shape, bool), self._cells(places)
+        found[tuple(cells[self._inside(cells)].T)] = True
+        return found
+
     def add(self, scan: np.ndarray, people: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> None:
         """Takes in a `scan` (beams,) [m] of which the beams `people` (beams,) meet people. position (2,), rotation (2,
         2): the robot's, in the map's frame."""

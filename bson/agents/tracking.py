@@ -39,6 +39,9 @@ class TrackingConfig:
     velocity_gain: float = 0.4  # least weight of a new velocity in the estimate, in 0.1 s
     memory: float = 2.0  # how long an unseen person is believed in where the scanner can't see the place
     missing: float = 0.2  # the same where the scanner can see it
+    standing_speed: float = 0.3  # who is slower stands
+    standing_seen: float = 0.5  # for so long somebody must have been seen before it is told
+    standing_memory: float = 15.0  # how long somebody who stood is believed in where the scanner can't see the place
 
 
 class Tracking:
@@ -68,6 +71,7 @@ class Tracking:
         self._position = np.zeros(2)  # of the robot, goal-bound frame
         self._seen_at, self._seen_velocity = np.zeros((0, 2)), np.zeros((0, 2))  # people, in the goal-bound frame
         self._sightings, self._unseen = np.zeros(0, int), np.zeros(0, int)  # scans with and, lately, without them
+        self._stood = np.zeros((0, 3))  # places of people who stood, and when they were seen to [s]
 
     def see(self, goal: np.ndarray, velocity: np.ndarray, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """Takes in an observation, with its goal and velocity (2,); returns the walls (sectors, 2) [m], robot frame."""
@@ -103,6 +107,22 @@ class Tracking:
     def to_goal_bound(self, points: np.ndarray) -> np.ndarray:
         """`points` (n, 2) [m] of the robot frame in the goal-bound frame."""
         return points @ self._rotation.T + self._position
+
+    def crowd(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places (n, 2) of people, goal-bound frame [m], and which of them stand (n,) bool: of whom is believed in, and
+        of who stood where the scanner could not see since. To be called every now and then."""
+        c, now = self.config, self._steps * self._period
+        self._stood = self._stood[self._stood[:, 2] > now - c.standing_memory]
+        if len(self._stood):
+            self._stood = self._stood[self._hidden(self._stood[:, :2], self._scanned)]
+            near = ((self._stood[:, None, :2] - self._seen_at) ** 2).sum(axis=-1) < c.person_radius**2
+            self._stood = self._stood[~near.any(axis=1)]
+        slow = np.hypot(self._seen_velocity[:, 0], self._seen_velocity[:, 1]) < c.standing_speed
+        slow &= self._sightings * self._scan.period >= c.standing_seen
+        seen = np.column_stack([self._seen_at, np.full(len(slow), now)])
+        known, standing = np.concatenate([seen, self._stood]), np.append(slow, np.ones(len(self._stood), bool))
+        self._stood = known[standing]
+        return known[:, :2], standing
 
     def _look(self, scan):
         """Takes a new `scan` (beams,) [m] into the people believed in; returns the walls (sectors, 2) [m], robot
@@ -186,7 +206,7 @@ class Tracking:
 
     def _track(self, seen, scan):
         """Matches the people `seen` (n, 2), goal-bound frame, with the people believed in, and updates the latter."""
-        c = self.config
+        c, self._scanned = self.config, scan
         expected = self._seen_at + self._seen_velocity * self._scan.period
         old, new = _match(expected, seen, self._match)
         sightings = self._sightings[old] + 1

@@ -76,6 +76,10 @@ class Ways:
             beyond = ways.next[beyond]
         return aim, ways.centres[beyond], float(ways.length[chosen] + np.hypot(*(aim - place)))
 
+    def lead_from(self, place: np.ndarray) -> bool:
+        """Whether a way leads from `place` (2,) [m] to the goal."""
+        return bool(self.in_sight(place, self.goal[None])[0]) or self._solve(place).length_at(place)[1] < np.inf
+
     def blocked(self, occupied: np.ndarray, place: np.ndarray) -> bool:
         """Whether the way from `place` (2,) [m] meets one of the cells `occupied` (rows, columns) bool, of a grid of
         the same cells."""

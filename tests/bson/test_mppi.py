@@ -13,6 +13,7 @@ from bson.agents.rollout import going_on
 from bson.agents.scan import Scan
 from bson.agents.scan_map import ScanMap
 from bson.agents.sfm_planner import SfmPlanner
+from bson.agents.tracking import Tracking, TrackingConfig
 from bson.episodes.tracks import make_track
 from bson.planners import Grid, path_cost, plan, shortcut
 from bson.planners.way_field import way_field
@@ -28,6 +29,9 @@ PERIOD, TOP, GOAL, SIZE = 0.1, np.array([2.0, 2.0]), np.array([10.0, 0.0]), 26.0
 NOBODY, NOTHING = np.zeros((0, 2)), np.zeros((0, 5))
 # Open towards the robot: a wall across the way at x = 5, and one along each side.
 TRAP = np.array([[5.0, 0.0, 0.2, 2.5, 0.0], [3.5, 2.5, 1.7, 0.2, 0.0], [3.5, -2.5, 1.7, 0.2, 0.0]])
+# Across the way at x = 5, with a door straight ahead and another one aside.
+DOORS = np.array([[5.0, -7.1, 0.125, 5.9, 0.0], [5.0, 3.1, 0.125, 1.9, 0.0], [5.0, 10.5, 0.125, 2.5, 0.0]])
+JAM = np.array([[x, y] for x in (4.4, 5.2) for y in (-0.8, 0.0, 0.8)])
 LIDAR = Lidar2D()
 SCAN = Scan(Setting.default())
 KINDS = {"mppi": Mppi, "mppi-policy": MppiPolicy, "mppi-local": MppiLocal}
@@ -170,6 +174,15 @@ def test_round_a_long_thin_wall_it_drives_however_near_the_goal_is_behind_it(age
     assert gap > 0.01
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_where_people_stand_in_a_door_it_takes_another(agents, name):
+    poses, gap, _ = drive(agents[name], JAM, np.zeros_like(JAM), walls=DOORS, steps=300)
+    assert math.dist(poses[-1, :2], GOAL) <= 0.5
+    assert poses[:, 1].max() > 5.0 and gap > 0.05
+    poses, _, _ = drive(agents[name], walls=DOORS)
+    assert np.abs(poses[:, 1]).max() < 1.0
+
+
 def test_a_mirrored_world_gives_the_mirrored_action(agents):
     agent = agents["mppi"]
     rng, flip = np.random.default_rng(0), np.array([1.0, -1.0])
@@ -251,3 +264,35 @@ def test_the_map_of_its_scans_has_the_walls_and_forgets_what_was_no_wall():
     assert not (np.hypot(*(places - [2.0, 0.5]).T) < RADIUS + 0.2).any()
     across = np.abs(places - [4.8, 0.0]).max(axis=-1) < 0.3
     assert across.any()
+
+
+def test_who_stands_is_remembered_out_of_sight_until_seen_to_be_gone_or_long_ago():
+    occupied = occupancy_grid(layout_of(NOTHING), 0.25, 0.0)
+    tracking = Tracking(Setting.default(), TrackingConfig())
+    stands, steps = np.array([3.0, 1.0]), round(TrackingConfig().standing_memory / PERIOD)
+
+    def look(yaw, people):
+        """Where people stand, in the world's frame, and how many are known; the robot turns on the spot."""
+        seen = observe(np.array([0.0, 0.0, yaw]), GOAL, people, [0.0, 0.0], NOTHING, occupied)
+        tracking.see(seen["goal"].astype(float), seen["velocity"].astype(float), seen)
+        places, standing = tracking.crowd()
+        return places[standing] + GOAL, len(places)
+
+    yaws = [*np.zeros(10), *np.linspace(0.0, math.pi, 16)]  # in the end away from them: the LIDAR has 270 degrees
+    for step, yaw in enumerate(yaws):
+        found, known = look(yaw, np.array([stands, [6.0, -3.0 + 1.3 * PERIOD * step]]))
+        if step == 9:
+            assert found == pytest.approx(stands[None], abs=0.05) and known == 2
+    for _ in range(30):
+        found, known = look(math.pi, NOBODY)
+    assert found == pytest.approx(stands[None], abs=0.15) and known == 1
+    for _ in range(steps):
+        known = look(math.pi, NOBODY)[1]
+    assert known == 0
+    tracking.forget()
+    for _ in range(10):
+        known = look(0.0, stands[None])[1]
+    assert known == 1
+    for _ in range(6):
+        known = look(0.0, NOBODY)[1]
+    assert known == 0
