@@ -11,6 +11,7 @@ from bson.agents.contract import AgentError, Setting
 from bson.agents.learned import KINDS, setting_document, write
 from bson.episodes.tracks import make_track
 from bson.evaluation.device_agents import device_agent
+from bson.evaluation.statistics import mean
 from bson.task import TaskConfig
 from macid.files import UsageError
 
@@ -148,3 +149,17 @@ def test_a_function_of_the_user_s_own_is_scored_as_on_the_native_engine(own, tmp
     for name in ("SNS", "RC", "SP"):
         np.testing.assert_allclose(found["warp"].metrics[name], found["native"].metrics[name], atol=2.0)
     assert json.loads((tmp_path / "warp" / "results.json").read_text())["engine"] == "warp"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", ["goal", "tac", "ppo"])
+def test_over_a_suite_an_agent_scores_as_on_the_native_engine(agent, tmp_path):
+    pytest.importorskip("warp")
+    found = [
+        benchmark.evaluate(agent, "paper", out=tmp_path / engine, episodes=100, engine=engine, videos=0, quiet=True)
+        for engine in ("native", "warp")
+    ]
+    rows = [one.rows for one in found]
+    native, warp = (np.array([each[key]["SNS"] for key in rows[0]]) for each in rows)
+    difference = mean((warp - native)[None])
+    assert difference.low <= 0.0 <= difference.high
