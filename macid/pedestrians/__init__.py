@@ -70,9 +70,25 @@ def _own(found: Any, name: str) -> Callable[[float], Controller]:
     def make(period: float) -> Controller:
         with PEDESTRIANS.running(name, "making one"):
             made = found(period=period) if takes_period else found() if inspect.isclass(found) else found
-        return cast(Controller, made)
+        return _Told(name, made) if callable(made) else cast(Controller, made)
 
     return make
+
+
+class _Told:
+    """Somebody's own controller `made`, of the model `name`: what its code raises, and a command of another shape than
+    its call gives, are told in one line."""
+
+    def __init__(self, name: str, made: Controller):
+        self._name, self._made = name, made
+
+    def __call__(self, state: Any, boxes: Any, goals: Any, lcf: Any, /) -> Any:
+        with PEDESTRIANS.running(self._name, "deciding, traced by JAX (it is written with jax.numpy)"):
+            command = self._made(state, boxes, goals, lcf)
+        found, wanted = getattr(command, "shape", None), (*goals.shape[:-1], 3)
+        if found != wanted:
+            raise UsageError(f"Pedestrian model '{self._name}' gives commands of shape {found}, not {wanted}.")
+        return command
 
 
 #: Pedestrian models: each is called with the `period` [s] of its decisions and gives a Controller.

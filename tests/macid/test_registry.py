@@ -3,9 +3,12 @@ choices."""
 
 import pathlib
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 from macid.files import UsageError
+from macid.pedestrians import make_controller
 from macid.registry import Failed, Kind, code_file
 
 OWN = """
@@ -93,3 +96,21 @@ def test_two_files_of_one_name_are_two(folder):
     assert (first(1), second(1)) == (2, 3)
     assert [code_file(name).parent.name for name in ("own_doubler.py", "other/own_doubler.py")][1] == "other"
     assert code_file("own_doubler.py").read_text() == OWN
+
+
+def test_a_pedestrian_model_that_jax_cannot_trace_or_that_gives_another_shape_is_told_in_one_line(tmp_path):
+    (tmp_path / "own_people.py").write_text(
+        "import numpy as np\nimport jax.numpy as jnp\n"
+        "def by_numpy(state, boxes, goals, lcf):\n"
+        "    return np.concatenate([np.asarray(goals), np.asarray(lcf)[..., None]], -1)\n"
+        "def flat(state, boxes, goals, lcf):\n    return goals\n"
+        "def right(state, boxes, goals, lcf):\n    return jnp.concatenate([goals, lcf[..., None]], -1)\n"
+    )
+    goals, lcf = jnp.ones((2, 4, 2)), jnp.zeros((2, 4))
+    for name, told in (("by_numpy", "is written with jax.numpy"), ("flat", r"gives commands of shape \(2, 4, 2\)")):
+        controller = make_controller(f"{tmp_path / 'own_people.py'}:{name}", 0.1)
+        with pytest.raises(UsageError, match=told) as error:
+            jax.jit(lambda goals, lcf, controller=controller: controller(None, None, goals, lcf))(goals, lcf)
+        assert "\n" not in str(error.value)
+    right = make_controller(f"{tmp_path / 'own_people.py'}:right", 0.1)
+    assert jax.jit(lambda goals, lcf: right(None, None, goals, lcf))(goals, lcf).shape == (2, 4, 3)
