@@ -22,7 +22,6 @@ Sequences come in pairs that turn to opposite sides, so that the mirrored world 
 """
 
 import functools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -37,6 +36,7 @@ from bson.agents.global_view import GlobalView
 from bson.agents.rollout import RolloutConfig, gaps, going_on, robot_row, rollout
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
+from macid.geometry import wrap_angle
 from macid.state import FAR_AWAY, GOAL_RADIUS
 
 
@@ -218,10 +218,6 @@ def _read(field, place):
     return below * (1 - v) + above * v
 
 
-def _wrap(angle):
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
 def _guided(config):
     """Guided sequences: speeds (share), angles, and whether they turn back to the field; then fixed (v, w)."""
     rows = []
@@ -301,7 +297,7 @@ def _improved(config, world, plan, noise, spread):
     def steer(command, x, y, yaw, angle):
         """Guided sequences' yaw rates follow the field."""
         along = heading[_nearest_node(world, x, y)] + angle
-        rate = jnp.clip(_wrap(along - yaw) / turn_time, -top_rate, top_rate)
+        rate = jnp.clip(wrap_angle(along - yaw) / turn_time, -top_rate, top_rate)
         return jnp.stack([command[:, 0], jnp.where(is_guided, rate, command[:, 1])], axis=-1)
 
     x, y, yaw, v, commands = rollout(c, world.robot, world.state, world.step, commands, steer, (angle,))
@@ -333,7 +329,8 @@ class Mppi:
         """Begins an episode; samples are drawn from `seed`."""
         self._view.reset()
         self._controller.reset(seed)
-        self._steps, self._mean, self._standing = 0, None, np.zeros(0, bool)
+        self._steps = 0
+        self._mean: Any = None  # the running mean of people's velocities, from the first step on
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
@@ -349,12 +346,15 @@ class Mppi:
         view, c = self._view, self.config
         if self._mean is None:
             self._mean = np.full(view.people.shape, c.standing_speed)
-        elif self._steps > 0:
+        else:
             self._mean += self._share * (view.people_velocity - self._mean)
-        self._standing = np.hypot(*self._mean.T) < c.standing_speed
         if self._steps % self._remap == 0:
-            self._controller.set_map(view.map, view.goal, view.people, self._standing)
+            self._controller.set_map(view.map, view.goal, view.people, self._standing())
         self._steps += 1
+
+    def _standing(self):
+        """Who stands (n,) bool, of all people in view."""
+        return np.hypot(*self._mean.T) < self.config.standing_speed
 
     def _predicted(self, near):
         """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""

@@ -29,6 +29,7 @@ from bson.agents import learned
 from bson.agents.contract import Agent, Setting
 from bson.agents.guide import ScanSight
 from bson.agents.rollout import RolloutConfig, gap, going_on, robot_row, rollout
+from macid.geometry import wrap_angle
 from macid.state import FAR_AWAY
 
 
@@ -274,10 +275,8 @@ def _foreseen(config, state, robot, step, commands, people, walls, person_radius
 
     risk = (step * jnp.exp(-times / c.patience) * (short + lack)).sum(axis=0).reshape(2, n).min(axis=0)
     x, y, yaw = (each[-1, n:] for each in (x, y, yaw))
-    off, first = (jnp.abs(_wrap(jnp.arctan2(aim[1] - b, aim[0] - a) - turn)) for a, b, turn in ((x, y, yaw), (0, 0, 0)))
+    off, first = (
+        jnp.abs(wrap_angle(jnp.arctan2(aim[1] - b, aim[0] - a) - turn)) for a, b, turn in ((x, y, yaw), (0, 0, 0))
+    )
     nearer = jnp.hypot(aim[0], aim[1]) - jnp.hypot(aim[0] - x, aim[1] - y)
     return risk, nearer + c.turn_worth * (first - off) - c.back_cost * jnp.maximum(-x, 0.0), x
-
-
-def _wrap(angle):
-    return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi

@@ -19,6 +19,7 @@ import numpy as np
 from bson import recurrent
 from bson.learning import pieces
 from bson.learning.keeper import Keeper, collect_keeper, restore_keeper, wanted_keeper
+from bson.learning.legs import Legs
 from bson.learning.pieces import Gru, Learner
 from macid.learning import ppo
 from macid.learning.curves import check_arrays
@@ -57,7 +58,7 @@ class Noted(msgspec.Struct):
     updates: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
 
-class RecurrentPpo:
+class RecurrentPpo(Legs):
     """The training of a network with an `eye` (bson.recurrent.EYES) in `env`, a GuidedVecEnv that shows what it sees.
 
     steps: control steps of all worlds together; seed: of networks and actions; first_seed: the env's, to which the
@@ -74,9 +75,8 @@ class RecurrentPpo:
         first_seed: int,
         start: Any = None,
     ):
-        self._env, self._network, self._config, self._first_seed = env, Gru(eye), config, first_seed
-        self._per = env.num_envs * config.rollout  # steps in an update
-        self.number = max(1, -(-steps // self._per))  #: updates of the whole training
+        super().__init__(env, steps, config)
+        self._network, self._first_seed = Gru(eye), first_seed
         count = env.num_envs * config.rollout // config.piece  # of pieces in an update
         self._ppo = ppo.PpoConfig(
             learning_rate=config.learning_rate,
@@ -94,7 +94,6 @@ class RecurrentPpo:
         self.learner = Learner(
             parameters, self._optimizer.init(parameters), jax.random.key_data(key), jnp.int32(0)
         )  #: its state
-        self.updates = 0  #: done
         self.output = "clip"  #: of the policy's file
         self._act = jax.jit(functools.partial(pieces.act, self._network))
         self._judged = jax.jit(functools.partial(pieces.judged, self._network))
@@ -110,21 +109,6 @@ class RecurrentPpo:
             donate_argnums=0,
         )
         self._x = self._began = self._memories = None
-
-    @property
-    def steps(self) -> int:
-        """The control steps done."""
-        return self.updates * self._per
-
-    @property
-    def done(self) -> bool:
-        """Whether the training is over."""
-        return self.updates >= self.number
-
-    @property
-    def rests(self) -> bool:
-        """Whether a checkpoint may be written: the worlds begin anew with the next update, or there is none."""
-        return self.done or self.updates % self._config.leg == 0
 
     @property
     def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -175,7 +159,5 @@ class RecurrentPpo:
         check_arrays(found, pieces.leaves(self.learner) | wanted_keeper(noted["keeper"], self.layers))
         keeper = restore_keeper(found, noted["keeper"], len(self.layers))
         self.learner = pieces.of_leaves(self.learner, found)
-        self.updates = noted["updates"]
-        if not self.rests:
-            raise ValueError(f"it was written after {self.updates} updates, within a leg")
+        self._go_on_after(noted["updates"])
         return keeper

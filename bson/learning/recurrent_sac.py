@@ -28,6 +28,7 @@ import torch
 
 from bson import recurrent
 from bson.learning.keeper import Count, Keeper, collect_keeper, restore_keeper, wanted_keeper
+from bson.learning.legs import Legs
 from bson.learning.recurrent_network import Encoder, Network
 from bson.learning.replay import Batch, Recorder, Replay
 from bson.learning.tsallis import EPSILON, entropic
@@ -219,7 +220,7 @@ class Noted(msgspec.Struct):
     pieces: Count  #: that replay got
 
 
-class RecurrentSac:
+class RecurrentSac(Legs):
     """The training of a network with an `eye` (bson.recurrent.EYES) in `env`, a GuidedVecEnv that shows what it sees.
 
     steps: control steps of all worlds together; seed: of networks and actions; first_seed: the env's, to which the
@@ -238,9 +239,8 @@ class RecurrentSac:
         output: str = "tanh",
     ):
         torch.manual_seed(seed)
-        self._env, self._config, self._seed, self._first_seed = env, config, seed, first_seed
-        self._per = env.num_envs * config.rollout  # steps in an update
-        self.number = max(1, -(-steps // self._per))  #: updates of the whole training
+        super().__init__(env, steps, config)
+        self._seed, self._first_seed = seed, first_seed
         self.output = output  #: of the policy's file
         self.actor, self.critic = Actor(eye, output, config.log_std), Critic(eye)
         if start is not None:
@@ -255,28 +255,13 @@ class RecurrentSac:
         }
         rates = dict.fromkeys(self._own, config.learning_rate) | {"actor": config.actor_learning_rate}
         self._optimizers = {name: torch.optim.Adam(own, rates[name]) for name, own in self._own.items()}
-        self.updates, self.learned = 0, 0  #: done; gradient steps
+        self.learned = 0  #: gradient steps
         dtype = np.float16 if eye == "picture" else np.float32
         capacity = config.buffer // config.piece
         self.replay = Replay(capacity, config.piece, config.burn, recurrent.size(eye), UNITS, dtype=dtype)
         self._recorder = Recorder(self.replay, env.num_envs)
         self._random = start is None  # whether the first actions are
         self._x = self._rng = self._states = None
-
-    @property
-    def steps(self) -> int:
-        """The control steps done."""
-        return self.updates * self._per
-
-    @property
-    def done(self) -> bool:
-        """Whether the training is over."""
-        return self.updates >= self.number
-
-    @property
-    def rests(self) -> bool:
-        """Whether a checkpoint may be written: the worlds begin anew with the next update, or there is none."""
-        return self.done or self.updates % self._config.leg == 0
 
     @property
     def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -385,7 +370,6 @@ class RecurrentSac:
         with torch.no_grad():
             for name, tensor in tensors.items():
                 tensor.copy_(torch.from_numpy(found[name].copy()))
-        self.updates, self.learned = noted["updates"], noted["learned"]
-        if not self.rests:
-            raise ValueError(f"it was written after {self.updates} updates, within a leg")
+        self.learned = noted["learned"]
+        self._go_on_after(noted["updates"])
         return keeper

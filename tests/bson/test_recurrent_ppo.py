@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_draws import DRAW
 
 from bson import recurrent
 from bson.agents import learned, load_agent
@@ -119,24 +120,6 @@ def test_while_the_value_warms_up_the_policy_stays():
 
 
 # --- in native worlds
-
-DRAW = """
-name = "mine"
-description = "a test"
-sizes = [0, 2]
-[[kinds]]
-share = 1
-[kinds.config]
-map_size = 14.0
-goal_distance = [3.0, 6.0]
-num_pedestrians = {people}
-horizon = 30
-[[validation]]
-map_size = 14.0
-num_pedestrians = 0
-goal_distance = [3.0, 6.0]
-horizon = 5
-"""
 
 
 def training(tmp_path, people=0, steps=96, inputs="gru", start=None, **chosen):

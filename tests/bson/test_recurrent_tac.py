@@ -10,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_draws import DRAW
 from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 
 from bson import recurrent
@@ -352,23 +353,6 @@ def test_a_network_takes_what_another_gave(eye):
 
 # --- in native worlds
 
-DRAW = """
-name = "mine"
-description = "a test"
-sizes = [0, 2]
-[[kinds]]
-share = 1
-[kinds.config]
-map_size = 14.0
-goal_distance = [3.0, 6.0]
-num_pedestrians = {people}
-horizon = 30
-[[validation]]
-map_size = 14.0
-num_pedestrians = 0
-goal_distance = [3.0, 6.0]
-horizon = 5
-"""
 SMALL = {"rollout": 8, "piece": 4, "burn": 2, "batch": 4, "buffer": 64, "learning_starts": 40, "steps_per_update": 8}
 
 
