@@ -9,6 +9,32 @@ from bson.planners import Grid
 from macid import geometry
 
 
+class Standing:
+    """Who stands: whose running mean of velocities, of the time constant `time` [s], is slower than `speed` [m/s].
+    period: between two looks [s]."""
+
+    def __init__(self, time: float, speed: float, period: float):
+        self._share, self._speed = min(1.0, period / time), speed
+        self.forget()
+
+    def forget(self) -> None:
+        """Forgets the last episode."""
+        self._mean: np.ndarray | None = None
+
+    def see(self, velocity: np.ndarray) -> None:
+        """Takes in people's velocities (n, 2) [m/s]. At the first look nobody stands."""
+        if self._mean is None:
+            self._mean = np.full(velocity.shape, self._speed)
+        else:
+            self._mean += self._share * (velocity - self._mean)
+
+    @property
+    def stands(self) -> np.ndarray:
+        """Who stands (n,) bool."""
+        assert self._mean is not None, "nobody was seen yet"
+        return np.hypot(*self._mean.T) < self._speed
+
+
 class GlobalView:
     """The present state of a world, in the world frame [m, m/s, rad]. Call `see` with each observation of an episode in
     turn.

@@ -1,14 +1,14 @@
 """What guided robots see (bson.guided) of a world: with the map and people's places, or by the LIDAR alone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from bson import guided
 from bson.agents.contract import Setting
-from bson.agents.global_view import GlobalView
+from bson.agents.global_view import GlobalView, Standing
 from bson.agents.scan_map import MappedTracking
 from bson.agents.tracking import TrackingConfig
 from bson.agents.ways import Ways
@@ -20,8 +20,9 @@ MARGIN = 0.15  # between the robot's circle and walls on its way [m]
 _FIELD = math.radians(135.0)  # to either side of the LIDAR's middle
 _SEEN = 0.6  # a person is in sight where the beam ends at most this much nearer than its middle [m]
 _MAP_SHARE = 1.5  # side of the map that a robot makes itself, in sides of the world's
-_REPLAN = 3.0  # at least so often a way on that map is looked for anew, as walls may have gone [s]
-_LOOK = 0.2  # between two looks whether walls were found on the way [s]
+_REPLAN = 3.0  # at least so often a way is looked for anew, as walls and who stood there may have gone [s]
+_LOOK = 0.2  # between two looks whether walls or people who stand were found on the way [s]
+_STANDING_TIME, _STANDING_SPEED = 1.5, 0.3  # whose mean velocity over so long is slower stands [s, m/s]
 
 
 class Memory:
@@ -57,12 +58,50 @@ class Memory:
         )
 
 
+class Replanning:
+    """A way round what stands, looked for anew where walls or standing people were found on the old one (as in D* Lite,
+    Koenig and Likhachev, AAAI 2002), or the last look was long ago. Where people stand in all ways, it leads as if they
+    were not there. task: a TaskConfig or Setting."""
+
+    ways: Ways  #: the present ones
+
+    def __init__(self, task: Any):
+        self._replan, self._look_every = (max(1, round(time / task.control_period)) for time in (_REPLAN, _LOOK))
+        self._planned: int | None = None  # the step of the last plan
+        self._part: Any = ()  # of the map, over which the ways lead
+
+    def look(
+        self,
+        step: int,
+        place: np.ndarray,
+        seen: Callable[[], tuple[np.ndarray, np.ndarray]],
+        around: Callable[[np.ndarray], tuple[Ways, Any]],
+    ) -> None:
+        """Looks at `step` whether the way from `place` (2,) [m] still leads on. seen: gives the cells (rows, columns)
+        bool that walls occupy, and those that standing people do; around: makes the Ways around occupied cells, and the
+        part of them that the Ways are of."""
+        if self._planned is not None and step % self._look_every:
+            return
+        walls, standing = seen()
+        occupied = walls | standing
+        old = self._planned is None or step - self._planned >= self._replan
+        if not old and not self.ways.blocked(occupied[self._part], place):
+            return
+        self._planned = step
+        self.ways, self._part = around(occupied)
+        if standing.any() and not self.ways.lead_from(place):
+            self.ways, self._part = around(walls)
+
+
 class Guide:
     """The guide of one robot of a `task` (a TaskConfig or a Setting) in one episode, with the map's `grid`, inflated by
-    the robot, and its `goal` (2,)."""
+    the robot, and its `goal` (2,). The way leads round people who stand."""
 
     def __init__(self, task: Any, grid: Grid, goal: np.ndarray):
-        self._ways, self._memory, self._period = Ways(grid, goal), Memory(task), task.control_period
+        self._open, self._memory, self._period = Ways(grid, goal), Memory(task), task.control_period
+        self._clearance, self._person_radius = task.robot.radius + MARGIN, task.person_radius
+        self._plan, self._standing = Replanning(task), Standing(_STANDING_TIME, _STANDING_SPEED, task.control_period)
+        self._steps = 0
         self._people: np.ndarray | None = None
         self.length = 0.0  #: of the way from the last place seen [m]
 
@@ -75,9 +114,12 @@ class Guide:
         People count as standing until they were seen twice. in_sight: whether only those whom the LIDAR sees are told
         of.
         """
-        aim, beyond, self.length = self._ways.ahead(pose[:2])
         before = people if self._people is None else self._people
         self._people = people.copy()
+        self._standing.see((people - before) / self._period)
+        self._plan.look(self._steps, pose[:2], self._seen, self._around)
+        self._steps += 1
+        aim, beyond, self.length = self._plan.ways.ahead(pose[:2])
         velocity = geometry.to_body((people - before) / self._period, pose[2])
         place = geometry.to_body(people - pose[:2], pose[2])
         if in_sight:
@@ -85,6 +127,21 @@ class Guide:
             place, velocity = place[seen], velocity[seen]
         aim, beyond = geometry.to_body(np.stack([aim, beyond]) - pose[:2], pose[2])
         return self._memory.vector(observation, (aim, beyond, self.length), (place, velocity))
+
+    def _seen(self):
+        """The cells that walls occupy, with the robot's room, and those that standing people do."""
+        assert self._people is not None
+        grid, stand = self._open.grid, self._people[self._standing.stands]
+        return grid.occupied, grown_by(grid.counted(stand) > 0, self._person_radius, grid.resolution)
+
+    def _around(self, occupied):
+        """The ways round what is `occupied`, and the part of the map that they are of: all."""
+        grid = self._open.grid
+        people = occupied & ~grid.occupied
+        if not people.any():
+            return self._open, ...
+        grown = grid.occupied | grown_by(people, self._clearance, grid.resolution)
+        return Ways(Grid(grown, grid.resolution, grid.origin), self._open.goal), ...
 
 
 def visible(place: np.ndarray, lidar: np.ndarray) -> np.ndarray:
@@ -133,8 +190,7 @@ class MapSight:
 
 class ScanSight(MappedTracking):
     """Sees by the LIDAR alone: people are tracked, and the way leads over a map that the robot makes of the walls that
-    it has met; what it has not seen is free, so that a new way is looked for where walls are found on the old one (as
-    in D* Lite, Koenig and Likhachev, AAAI 2002)."""
+    it has met; what it has not seen is free."""
 
     track = "local"
     aim: np.ndarray  #: the farthest point (2,) in sight of the way ahead, robot frame [m]
@@ -142,15 +198,12 @@ class ScanSight(MappedTracking):
     def __init__(self, setting: Setting):
         super().__init__(setting, TrackingConfig(), _MAP_SHARE)
         self._setting = setting
-        self._replan, self._look_every = setting.steps(_REPLAN), setting.steps(_LOOK)
         self.reset()
 
     def reset(self) -> None:
         """Begins an episode."""
         self.forget()
-        self._ways: Ways | None = None
-        self._part: tuple[slice, ...] = ()  # of the map, over which the ways lead
-        self._memory, self._planned = Memory(self._setting), 0
+        self._memory, self._plan = Memory(self._setting), Replanning(self._setting)
 
     def see(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:  # type: ignore[override]
         """The vector (guided.SIZE,) of one world's observation."""
@@ -161,30 +214,20 @@ class ScanSight(MappedTracking):
         for who needs no vector."""
         step = self._steps
         super().see(np.asarray(observation["goal"], float), np.asarray(observation["velocity"], float), observation)
-        if self._ways is None or step % self._look_every == 0:
-            self._plan(step)
-        assert self._ways is not None
-        aim, beyond, length = self._ways.ahead(self._position)
+        self._plan.look(step, self._position, self._found, self._ways_around)
+        aim, beyond, length = self._plan.ways.ahead(self._position)
         self.aim, beyond = (np.stack([aim, beyond]) - self._position) @ self._rotation
         return self.aim, beyond, length
 
-    def _plan(self, step):
-        """Looks for a way where there is none, or walls or standing people were found on it, or the last look was long
-        ago. Where people stand in all ways, it leads as if they were not there."""
+    def _found(self):
+        """The cells of the map that walls and standing people occupy."""
         assert self._map is not None
         people, stand = self.crowd()
-        walls, standing = self._map.occupied, self._map.marked(people[stand])
-        occupied = walls | grown_by(standing, self.config.person_radius, self._map.resolution)
-        old = self._ways is None or step - self._planned >= self._replan
-        if self._ways is not None and not old and not self._ways.blocked(occupied[self._part], self._position):
-            return
-        self._planned = step
-        self._ways = self._ways_around(occupied)
-        if standing.any() and not self._ways.lead_from(self._position):
-            self._ways = self._ways_around(walls)
+        standing = self._map.marked(people[stand])
+        return self._map.occupied, grown_by(standing, self.config.person_radius, self._map.resolution)
 
     def _ways_around(self, occupied):
-        """The ways around what is `occupied`, a (rows, columns) of the map."""
+        """The ways around what is `occupied`, a (rows, columns) of the map, and the part of it that they are of."""
         # No shortest way leaves the rectangle around its ends and all walls by more than it keeps off them.
         assert self._map is not None
         radius, size = self._setting.robot.radius + MARGIN, self._map.resolution
@@ -192,6 +235,6 @@ class ScanSight(MappedTracking):
         inside = np.concatenate([np.argwhere(occupied), ends.clip(0, np.array(occupied.shape) - 1)])
         border = 2 + int(np.ceil(radius / size))
         low = np.maximum(inside.min(axis=0) - border, 0)
-        self._part = tuple(map(slice, low, inside.max(axis=0) + border + 1))
-        grown = grown_by(occupied[self._part], radius, size)
-        return Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2))
+        part = tuple(map(slice, low, inside.max(axis=0) + border + 1))
+        grown = grown_by(occupied[part], radius, size)
+        return Ways(Grid(grown, size, self._map.origin + low[::-1] * size), np.zeros(2)), part

@@ -32,7 +32,7 @@ import numpy as np
 from scipy import ndimage
 
 from bson.agents.contract import Setting
-from bson.agents.global_view import GlobalView
+from bson.agents.global_view import GlobalView, Standing
 from bson.agents.rollout import RolloutConfig, gaps, going_on, robot_row, rollout
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
@@ -139,10 +139,10 @@ class Controller:
         """What a metre of way costs more in each cell (rows, columns) among `people` (n, 2) [m], of whom some are
         `standing` (n,) bool: people who stand close together leave no way, and a crowd that moves delays."""
         c = self.config
-        density = _counted(grid, people) / grid.resolution**2
+        density = grid.counted(people) / grid.resolution**2
         density = np.asarray(ndimage.gaussian_filter(density, c.crowd_spread / grid.resolution))
         cost = c.crowd_cost * np.maximum(density - c.crowd_free, 0.0)
-        free = _counted(grid, people[standing]) == 0
+        free = grid.counted(people[standing]) == 0
         if not free.all():
             distance = np.asarray(ndimage.distance_transform_edt(free)) * grid.resolution
             least = float(self._person_radius) + float(self._robot[4]) + c.standing_room
@@ -186,13 +186,6 @@ class Controller:
         self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
         self.planned = way + pose[:2]
         return np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
-
-
-def _counted(grid, people):
-    """The number (rows, columns) of `people` (n, 2) in each cell."""
-    cells, count = grid.cells(people), np.zeros(grid.shape)
-    np.add.at(count, tuple(cells[((cells >= 0) & (cells < grid.shape)).all(axis=-1)].T), 1.0)
-    return count
 
 
 def _lookup(world, x, y):
@@ -322,15 +315,16 @@ class Mppi:
         self.config = config
         self._view = GlobalView(setting)
         self._controller = Controller(setting, config)
-        self._remap, self._share = setting.steps(config.remap), min(1.0, setting.control_period / config.standing_time)
+        self._remap = setting.steps(config.remap)
+        self._standing = Standing(config.standing_time, config.standing_speed, setting.control_period)
         self.reset(0)
 
     def reset(self, seed: int | None = None) -> None:
         """Begins an episode; samples are drawn from `seed`."""
         self._view.reset()
         self._controller.reset(seed)
+        self._standing.forget()
         self._steps = 0
-        self._mean: Any = None  # the running mean of people's velocities, from the first step on
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's Global observation (see bson.interfaces.gym.BsonEnv)."""
@@ -343,18 +337,11 @@ class Mppi:
 
     def _look(self):
         """Looks now and then where people stand, and plans the way anew."""
-        view, c = self._view, self.config
-        if self._mean is None:
-            self._mean = np.full(view.people.shape, c.standing_speed)
-        else:
-            self._mean += self._share * (view.people_velocity - self._mean)
+        view = self._view
+        self._standing.see(view.people_velocity)
         if self._steps % self._remap == 0:
-            self._controller.set_map(view.map, view.goal, view.people, self._standing())
+            self._controller.set_map(view.map, view.goal, view.people, self._standing.stands)
         self._steps += 1
-
-    def _standing(self):
-        """Who stands (n,) bool, of all people in view."""
-        return np.hypot(*self._mean.T) < self.config.standing_speed
 
     def _predicted(self, near):
         """Where the people `near` (n,) will be (n, horizon, 2) [m]: they keep their velocity."""

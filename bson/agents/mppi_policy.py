@@ -78,7 +78,7 @@ class MppiPolicy(Mppi):
         after = times > c.decisions * _STEP
         last = (foreseen[-1] - foreseen[-2]) / _STEP
         ways[:, after] = going_on(foreseen[-1], last, times[after] - c.decisions * _STEP)
-        stays = self._standing()[near]
+        stays = self._standing.stands[near]
         ways[stays] = going_on(place[stays], velocity[stays], times)
         return ways
 

@@ -85,7 +85,7 @@ class Shield:
     track, sensor = "local", "lidar2d"
 
     def __init__(self, policy: Agent, setting: Setting, config: ShieldConfig = ShieldConfig()):
-        self.config, self._policy = config, policy
+        self.config, self.policy = config, policy
         eyes = getattr(policy, "eyes", None)
         self._shared = isinstance(eyes, ScanSight)
         self.sight: ScanSight = eyes if isinstance(eyes, ScanSight) else ScanSight(setting)  #: what it sees by
@@ -101,7 +101,7 @@ class Shield:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        if (reset := getattr(self._policy, "reset", None)) is not None:
+        if (reset := getattr(self.policy, "reset", None)) is not None:
             reset(seed)
         if not self._shared:
             self.sight.reset()
@@ -114,7 +114,7 @@ class Shield:
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
-        wish = np.asarray(self._policy(observation), float)
+        wish = np.asarray(self.policy(observation), float)
         if not self._shared:
             self.sight.look_ahead(observation)
         tried = self._commands(np.clip(wish, -1.0, 1.0))

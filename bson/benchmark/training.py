@@ -35,6 +35,7 @@ def train(
     inputs: str = "scans",
     draw: str | None = None,
     teacher: str | None = None,
+    shield: bool = False,
     start: str | None = None,
     resume: bool = False,
     tensorboard: bool = False,
@@ -50,13 +51,14 @@ def train(
     changed. demonstrations: of bc, what to learn from in place of an expert: a Minari dataset, its id or its folder, or
     the folder `out` of `live`, with what people drove. inputs: what the robot sees, a name of
     bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of bson.learning.draw.draw_names() or a
-    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates; start: of ppo, sac and tac with one,
-    the policy from which it goes on, a shipped one or a .npz file. resume: goes on from checkpoints. executor,
-    ray_address, workers: see macid.executors.make_executor; an executor with several workers trains the seeds side by
-    side. Raises UsageError, also where the extra `agents` is missing.
+    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates; shield: whether that robot drives
+    behind bson.agents.shield.Shield as it learns; start: of ppo, sac and tac with one, the policy from which it goes
+    on, a shipped one or a .npz file. resume: goes on from checkpoints. executor, ray_address, workers: see
+    macid.executors.make_executor; an executor with several workers trains the seeds side by side. Raises UsageError,
+    also where the extra `agents` is missing.
     """
     with agents_extra():
-        from bson.learning.train import TrainConfig, hyperparameters
+        from bson.learning.train import SHIELDED, TrainConfig, hyperparameters
 
     chosen = hyperparameters(algo, preset, inputs, start)
     if demonstrations is not None:
@@ -77,6 +79,11 @@ def train(
             raise UsageError(f"--teacher is whom bc imitates with --inputs gru, gru-map, camera or gru-scans, {told}.")
         load_agent(teacher)
         chosen = dataclasses.replace(chosen, expert=teacher)
+    if shield:
+        if algo != "bc" or inputs not in SHIELDED:
+            told = f"not of {algo} on {inputs}"
+            raise UsageError(f"--shield is of bc with --inputs {' or '.join(SHIELDED)}, {told}.")
+        chosen = dataclasses.replace(chosen, shield=True)
     more = {"hyperparameters": chosen, "inputs": inputs, "draw": draw, "start": start}
     configs = [TrainConfig(algo, one, int(steps), overrides or {}, worlds, **more) for one in range(seed, seed + seeds)]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)

@@ -31,6 +31,7 @@ def _train(args):
         inputs=args.inputs,
         draw=args.draw,
         teacher=args.teacher,
+        shield=args.shield,
         start=args.start,
         resume=args.resume,
         tensorboard=args.tensorboard,
@@ -49,6 +50,8 @@ def _train_warp(args, limits):
         raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
     if args.teacher is not None:
         raise UsageError("--teacher is whom bc imitates, and --engine warp has no bc: leave it out.")
+    if args.shield:
+        raise UsageError("--shield is of bc, and --engine warp has no bc: leave it out.")
     if args.preset != "fast":
         raise UsageError("--engine warp has hyperparameters of its own, for thousands of worlds: leave --preset out.")
     if args.seeds != 1 or args.executor != "local":
@@ -128,6 +131,11 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         default=None,
         metavar="AGENT",
         help="of bc with a memory: whom it imitates (default: tac)",
+    )
+    train.add_argument(
+        "--shield",
+        action="store_true",
+        help="of bc with a memory and a LIDAR: it drives behind the shield of gru-shield as it learns",
     )
     train.add_argument(
         "--start",

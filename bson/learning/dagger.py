@@ -19,6 +19,7 @@ import torch
 from bson import recurrent
 from bson.agents.contract import Setting, act, made_for, reset_agent
 from bson.agents.learned import Pupil
+from bson.agents.shield import Shield
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
 from bson.learning.draw import Draw, training_seed
@@ -42,6 +43,7 @@ class DaggerConfig:
     batch: int = 16  # pieces
     piece: int = 64  # control steps of an episode through which gradients go back
     updates: int = 1500  # of each round
+    shield: bool = False  # whether the pupil drives behind bson.agents.shield.Shield, in validation too
 
 
 @dataclasses.dataclass
@@ -104,6 +106,7 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
     for one, seed in zip(teachers, seeds, strict=True):
         reset_agent(one, seed)
     sights = [pupil.sight(setting) for _ in everyone]
+    shields = [Shield(_Told(sight), setting) for sight in sights] if config.shield else None
     state = np.zeros((session.nworld, UNITS), np.float32)
     pushed = (np.arange(session.nworld) % 2 == 0)[:, None] * config.noise
     push = np.zeros((session.nworld, 2))
@@ -125,6 +128,8 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
         else:
             action, state[going] = recurrent.step(network, vector, pictures, state[going])
             action = np.clip(action, -1.0, 1.0)
+            if shields is not None:
+                action = np.stack([_shielded(shields[i], *row) for i, *row in zip(going, action, each, strict=True)])
         observation, _, terminated, truncated = session.step(going, action)
         count += len(going)
         progress(len(going))
@@ -136,6 +141,22 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
         into.picture.append(np.array(pictures, np.float16) if pupil.pictures else np.zeros(0, np.float16))
         into.wanted.append(np.array(wanted, np.float32))
     return count
+
+
+class _Told:
+    """An agent that does what it was told last, and sees by `eyes`."""
+
+    def __init__(self, eyes):
+        self.eyes, self.wish = eyes, np.zeros(2)
+
+    def __call__(self, observation):
+        return self.wish
+
+
+def _shielded(shield, wish, observation):
+    """What is driven behind the `shield` of a _Told in place of `wish` (2,)."""
+    shield.policy.wish = wish
+    return shield(observation)
 
 
 def fit(

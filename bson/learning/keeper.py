@@ -12,6 +12,7 @@ import numpy as np
 from bson.agents import learned
 from bson.agents.contract import Setting, Unsuited
 from bson.agents.learned import KINDS
+from bson.agents.shield import Shield
 from bson.episodes.tracks import make_track
 from bson.evaluation.metrics import measure
 from bson.evaluation.play import run_episodes, sound, versions
@@ -120,7 +121,7 @@ class BestKeeper:
 
         config, kind, measured = self.config, KINDS[self.config.inputs], []
         track = make_track(kind.track, kind.sensor)
-        agent = functools.partial(kind.of_layers, layers, output)
+        agent = functools.partial(_agent, config, layers, output)
         for setting, seeds in validation(config):
             episodes = sound(run_episodes(agent, setting, track, seeds, config.name, progress))
             measured += [measure(episode) for episode in episodes]
@@ -160,6 +161,12 @@ class BestKeeper:
             "versions": versions(),
         }
         learned.write(self.folder / "policy", best["layers"], recipe)
+
+
+def _agent(config, layers, output, setting):
+    """The agent of a training's policy for a robot in `setting`."""
+    policy = KINDS[config.inputs].of_layers(layers, output, setting)
+    return Shield(policy, setting) if getattr(config.hyperparameters, "shield", False) else policy
 
 
 def noted_config(config: Any) -> dict[str, Any]:

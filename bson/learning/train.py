@@ -103,6 +103,8 @@ KIND: Kind[Any] = Kind("algorithm", ALGORITHMS, own="class", check=_own)
 INPUTS = learned.KINDS  # what a robot may see, and the agent that sees it
 PUPILS = [name for name, kind in INPUTS.items() if issubclass(kind, learned.Pupil)]  # those with a recurrent network
 
+SHIELDED = [name for name in PUPILS if not INPUTS[name].pictures]  # those who may learn behind a shield: with a LIDAR
+
 
 def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans", start: str | None = None) -> Any:
     """The configuration of the algorithm `algo` in a preset; the user's own algorithm has the same one in every preset,

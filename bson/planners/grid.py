@@ -87,6 +87,12 @@ class Grid:
         """
         return Grid(self.occupied | (self.clearance <= radius), self.resolution, self.origin)
 
+    def counted(self, points: np.ndarray) -> np.ndarray:
+        """How many of `points` (n, 2) [m] are in each cell (rows, columns); those off the map count nowhere."""
+        cells, count = self.cells(points), np.zeros(self.shape)
+        np.add.at(count, tuple(cells[((cells >= 0) & (cells < self.shape)).all(axis=-1)].T), 1.0)
+        return count
+
     def nearest_free(self, point: Any) -> np.ndarray:
         """The centre (2,) [m] of the free cell nearest to `point` (2,) [m]; for a free point the point itself. Raises
         NoPath."""

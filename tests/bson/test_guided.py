@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from bson import guided, recurrent
 from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited
-from bson.agents.guide import MapSight, ScanSight, grown_by
+from bson.agents.global_view import Standing
+from bson.agents.guide import MARGIN, Guide, MapSight, ScanSight, grown_by
 from bson.agents.ways import Ways
 from bson.episodes.session import Session
 from bson.episodes.tracks import TRACKS, make_track
@@ -174,6 +175,44 @@ def test_walls_grow_as_those_of_a_grid_do():
         wanted = Grid(occupied, 0.25, [0.0, 0.0]).inflated(radius).occupied
         inside = np.s_[4:-4, 4:-4]
         assert np.array_equal(grown_by(occupied, radius, 0.25)[inside], wanted[inside])
+
+
+def test_who_stands_is_told_by_the_mean_of_velocities():
+    standing, period = Standing(1.5, 0.3, 0.1), 0.1
+    for step in range(60):
+        walks = [1.2, 0.0] if step < 30 else [0.0, 0.0]
+        standing.see(np.array([walks, [0.5 * (-1) ** step, 0.0], [0.0, 0.0]]))
+        if step in (0, 10, 29, 59):  # nobody at first; after half a second who stays where they are
+            after = step * period > 0.5
+            assert standing.stands.tolist() == [step == 59, after, after]
+    standing.forget()
+    standing.see(np.zeros((2, 2)))
+    assert not standing.stands.any()
+
+
+@pytest.mark.parametrize("doors", [1, 2])
+def test_a_guide_leads_round_people_who_stand_where_there_is_another_way(doors):
+    """A wall along x = 0 with doors at y = 0 and at y = 6, or at y = 0 alone; somebody comes to stand in the first."""
+    config = TaskConfig(map_size=20.0)
+    occupied = np.zeros((80, 80), bool)
+    occupied[:, 39:41] = True
+    occupied[36:44, 39:41] = False
+    if doors == 2:
+        occupied[60:68, 39:41] = False
+    grid, goal = Grid(occupied, 0.25, [-10.0, -10.0]).inflated(config.robot.radius + MARGIN), np.array([5.0, 0.0])
+    guide, pose, lengths, people = Guide(config, grid, goal), np.array([-3.0, 0.0, 0.0]), [], np.zeros((40, 1, 2))
+    people[:10, 0, 1] = np.linspace(3.0, 0.0, 10)
+    seen = {"velocity": np.zeros(2), "goal": np.array([8.0, 0.0]), "lidar": np.full(720, 10.0)}
+    for place in people:
+        x = guide.see(seen, pose, place)
+        lengths.append(guide.length)
+    assert lengths[0] == pytest.approx(8.0)
+    assert np.arctan2(x[7], x[6]) == pytest.approx(0.0, abs=1e-6) if doors == 1 else np.arctan2(x[7], x[6]) > 0.8
+    assert guide.length == pytest.approx(8.0 if doors == 1 else np.hypot(3, 6) + np.hypot(5, 6), rel=0.1)
+    guide.see(seen, pose, np.full((1, 2), 9.0))  # who stood there is gone
+    for _ in range(40):
+        guide.see(seen, pose, np.full((1, 2), 9.0))
+    assert guide.length == pytest.approx(8.0)
 
 
 def test_without_a_way_the_goal_is_the_aim():
