@@ -104,6 +104,7 @@ class Guide:
         self._steps = 0
         self._people: np.ndarray | None = None
         self.length = 0.0  #: of the way from the last place seen [m]
+        self.aim = np.zeros(2)  #: the farthest point of that way in sight, robot frame [m]
 
     def see(
         self, observation: Mapping[str, np.ndarray], pose: np.ndarray, people: np.ndarray, in_sight: bool = False
@@ -125,8 +126,8 @@ class Guide:
         if in_sight:
             seen = visible(place, observation["lidar"])
             place, velocity = place[seen], velocity[seen]
-        aim, beyond = geometry.to_body(np.stack([aim, beyond]) - pose[:2], pose[2])
-        return self._memory.vector(observation, (aim, beyond, self.length), (place, velocity))
+        self.aim, beyond = geometry.to_body(np.stack([aim, beyond]) - pose[:2], pose[2])
+        return self._memory.vector(observation, (self.aim, beyond, self.length), (place, velocity))
 
     def _seen(self):
         """The cells that walls occupy, with the robot's room, and those that standing people do."""
@@ -186,6 +187,12 @@ class MapSight:
         if self._guide is None:
             self._guide = Guide(self._setting, view.map.inflated(self._setting.robot.radius + MARGIN), view.goal)
         return self._guide.see(observation, view.pose, view.people)
+
+    @property
+    def aim(self) -> np.ndarray:
+        """The farthest point (2,) in sight of the way ahead, robot frame [m]."""
+        assert self._guide is not None, "nothing was seen yet"
+        return self._guide.aim
 
 
 class ScanSight(MappedTracking):

@@ -27,7 +27,7 @@ import numpy as np
 
 from bson.agents import learned
 from bson.agents.contract import Agent, Setting
-from bson.agents.guide import ScanSight
+from bson.agents.guide import MapSight, ScanSight
 from bson.agents.rollout import RolloutConfig, gap, going_on, robot_row, rollout
 from macid.geometry import wrap_angle
 from macid.state import FAR_AWAY
@@ -77,7 +77,8 @@ class ShieldConfig(RolloutConfig):
 
 class Shield:
     """The agent `policy` of one world of `setting` behind the shield: called with one world's observation each control
-    period, it returns an action (2,) in [-1, 1]. policy: any agent of the Local track.
+    period, it returns an action (2,) in [-1, 1]. policy: any agent with the LIDAR. The shield sees by the LIDAR alone;
+    a policy's `eyes` that see a map (MapSight) tell it the way ahead.
 
     Raises Unsuited where there is no level Lidar2D.
     """
@@ -89,6 +90,7 @@ class Shield:
         eyes = getattr(policy, "eyes", None)
         self._shared = isinstance(eyes, ScanSight)
         self.sight: ScanSight = eyes if isinstance(eyes, ScanSight) else ScanSight(setting)  #: what it sees by
+        self._guide = eyes if isinstance(eyes, MapSight) else self.sight
         self._period = setting.control_period
         self._top, self._robot = setting.top, robot_row(config, setting)
         self._person_radius = np.float32(setting.person_radius)
@@ -121,7 +123,7 @@ class Shield:
         self._feel(float(observation["velocity"][0]))
         people, walls = self._people(), self._near_walls()
         self._note(self.sight.to_goal_bound(np.zeros((1, 2)))[0])
-        aim = self.sight.aim if self._stuck_at is None else self._detour(people[:, 0], walls)
+        aim = self._guide.aim if self._stuck_at is None else self._detour(people[:, 0], walls)
         risk, gain, way = (
             np.asarray(each, float)
             for each in _foreseen(
@@ -175,7 +177,7 @@ class Shield:
         """Where (2,) [m], robot frame, to lead a stuck robot on among `people` (K, 2) and `walls` (P, 2): in the
         direction that is least off the way ahead and free, as in the vector field histogram (Borenstein and Koren,
         IEEE Transactions on Robotics and Automation, 1991); straight to the way ahead where none is."""
-        c, aim = self.config, self.sight.aim
+        c, aim = self.config, self._guide.aim
         length = min(c.detour_way, float(np.hypot(*aim)))
         angles = math.atan2(aim[1], aim[0]) + np.radians(c.detours)
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -242,9 +244,17 @@ class GruShield(Shield):
     """The shipped policy `gru` behind the shield. untrained: whether it may drive in a setting other than the one in
     which it was trained."""
 
+    shipped = "gru"
+
     def __init__(self, setting: Setting | None = None, untrained: bool = False):
-        setting = Setting.default() if setting is None else setting
-        super().__init__(learned.load("gru", untrained).made(setting), setting)
+        setting = Setting.default(self.track) if setting is None else setting
+        super().__init__(learned.load(self.shipped, untrained).made(setting), setting)
+
+
+class GruMapShield(GruShield):
+    """The shipped policy `gru-map` behind the shield."""
+
+    track, shipped = "global", "gru-map"
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -20,6 +20,7 @@ from bson.episodes.session import Session
 from bson.episodes.tracks import TRACKS, make_track
 from bson.evaluation.device_agents import device_agent
 from bson.evaluation.suites import load_suite, suite_names
+from bson.features import SECTORS
 from bson.planners import Grid, path_cost, plan
 from bson.task import TaskConfig
 from macid.files import UsageError
@@ -414,6 +415,25 @@ def test_guided_worlds_show_what_the_agent_sees_and_pay_for_the_way(draw):
 
     one, again, other = run(0), run(0), run(1)
     assert np.array_equal(one, again) and not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("inputs", ["gru", "gru-map"])
+def test_a_pupil_that_drives_behind_the_shield_runs_into_no_wall(inputs):
+    from bson.learning.dagger import DaggerConfig, Episodes, gather
+
+    kind = learned.KINDS[inputs]
+    shapes = recurrent.shapes(kind.eye)
+    ahead = {part: [(np.zeros(shape, np.float32), np.zeros(shape[1], np.float32)) for shape in shapes[part]]
+             for part in shapes}  # fmt: skip
+    ahead[recurrent.HEAD][-1][1][:] = 1.0, 0.0
+    setting = TaskConfig(obstacle_density=1.0, map_size=20.0, num_pedestrians=0, goal_distance=(10.0, 18.0), horizon=50)
+    nearest = {}
+    for shield in (False, True):
+        found, chosen = Episodes(), DaggerConfig("vfh", shield=shield)
+        gather(load_agent("vfh"), kind, ahead, lambda: setting, 1, np.random.default_rng(1), chosen, found, nworld=4)
+        scans = np.concatenate(found.vector)[:, guided.OWN : guided.OWN + SECTORS]
+        nearest[shield] = scans[:, SECTORS // 2 - 2 : SECTORS // 2 + 2].max()  # 1 at the sensor
+    assert nearest[True] < 0.98 < nearest[False]  # 0.16 m
 
 
 def test_the_guided_env_and_the_guided_agent_see_the_same():

@@ -486,6 +486,11 @@ def test_hyperparameters_that_are_none_are_refused(field, value, told):
         ),
         (["--algo", "sac", "--inputs", "gru", "--preset", "paper"], "--inputs gru learns with no SacConfig"),
         (["--algo", "sac", "--inputs", "gru", "--teacher", "mppi"], "--teacher is whom bc imitates"),
+        (
+            ["--algo", "sac", "--inputs", "gru", "--shield"],
+            "--shield is of bc with --inputs gru or gru-map or gru-scans",
+        ),
+        (["--algo", "bc", "--inputs", "camera", "--shield"], "not of bc on camera"),
         (["--algo", "tac", "--inputs", "gru-scans", "--engine", "warp"], "--engine warp trains ppo, not 'tac'"),
     ],
 )
