@@ -66,6 +66,7 @@ BUILT_IN = {
     "mppi-local": "bson.agents.mppi_local:MppiLocal",
     "sfm-planner": "bson.agents.sfm_planner:SfmPlanner",
     "gru-shield": "bson.agents.shield:GruShield",
+    "gru-map-shield": "bson.agents.shield:GruMapShield",
     "orca-oracle": "bson.agents.orca_oracle:OrcaOracle",
 }
 
