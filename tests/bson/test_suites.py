@@ -3,7 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from bson.agents.ways import Ways
 from bson.evaluation.suites import held_out, load_suite, suite_names
+from bson.planners import Grid
 from bson.task import TaskConfig, spawn
 from macid import assets
 
@@ -14,6 +16,7 @@ DIGESTS = {
     "smoke": "d93d60ae24f8",
     "standard": "86bb56a5ca8e",
     "street": "64ddfa79a4af",
+    "dense": "328d29d46450",
 }
 
 
@@ -53,7 +56,7 @@ def test_standard_has_every_combination_of_three_criteria():
     assert (dense.obstacle_density, dense.people, dense.lcf) == (1.0, 200, (-2.0, -0.67))
 
 
-@pytest.mark.parametrize(("name", "cells"), [("scenarios", 7), ("street", 4)])
+@pytest.mark.parametrize(("name", "cells"), [("scenarios", 7), ("street", 4), ("dense", 2)])
 def test_every_cell_has_room_for_all_its_episodes(name, cells):
     suite = load_suite(name)
     assert len(suite.cells) == cells
@@ -73,6 +76,21 @@ def test_streets_have_people_as_they_are():
         together = [np.bincount(each.traits.group)[each.traits.group] > 1 for each in drawn]
         assert 0.44 <= np.mean(together) <= 0.76
         assert all((each.traits.radius == np.float32(0.2)).all() for each in drawn)
+
+
+def test_courtyards_stand_in_the_straight_way_and_the_way_round_them_is_short():
+    dense = load_suite("dense")
+    assert (len(dense.cells), len(dense.seeds), dense.cells[0].config.lcf) == (2, 45, (-2.0, 2.0))
+    for cell in dense.cells:
+        blocked, ratio = [], []
+        for seed in dense.seeds:
+            drawn = spawn(cell.config, np.random.default_rng(seed))
+            start, goal = drawn.robot[:2], drawn.goal
+            grid = Grid.from_layout(drawn.layout, 0.25).inflated(0.4)
+            line = start + np.linspace(0, 1, 200)[:, None] * (goal - start)
+            blocked.append(not all(grid.free(point) for point in line))
+            ratio.append(Ways(grid, goal).ahead(start)[2] / np.hypot(*(goal - start)))
+        assert np.mean(blocked) > 0.8 and 1.02 < np.mean(ratio) < 1.25
 
 
 def test_a_digest_follows_all_that_makes_the_episodes(tmp_path):
