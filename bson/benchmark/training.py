@@ -52,8 +52,8 @@ def train(
     the folder `out` of `live`, with what people drove. inputs: what the robot sees, a name of
     bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of bson.learning.draw.draw_names() or a
     .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates; shield: whether that robot drives
-    behind bson.agents.shield.Shield as it learns; start: of ppo, sac and tac with one, the policy from which it goes
-    on, a shipped one or a .npz file. resume: goes on from checkpoints. executor, ray_address, workers: see
+    behind bson.agents.shield.Shield as it learns; start: of a recurrent robot, the policy from which it goes on, a
+    shipped one or a .npz file. resume: goes on from checkpoints. executor, ray_address, workers: see
     macid.executors.make_executor; an executor with several workers trains the seeds side by side. Raises UsageError,
     also where the extra `agents` is missing.
     """

@@ -142,7 +142,7 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
         type=name,
         default=None,
         metavar="POLICY",
-        help="of ppo, sac and tac with a memory: begin from it, as gru",
+        help="of a robot with a memory: begin from it, as gru",
     )
     train.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     add_executor(train)

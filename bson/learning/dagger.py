@@ -36,7 +36,7 @@ class DaggerConfig:
     """Imitation by a recurrent robot. `steps` of training are control steps of all rounds together."""
 
     expert: str = "tac"  # the teacher: any agent that `bson evaluate` takes
-    rounds: int = 4  # in the first the teacher drives, and is pushed off its way; in the others the pupil
+    rounds: int = 4  # in the first of a new pupil the teacher drives, and is pushed off its way; else the pupil
     noise: float = 0.3  # standard deviation of what is added to the teacher's actions, in every second episode
     learning_rate: float = 1e-3
     final_learning_rate: float = 1e-4  # reached linearly over a round
@@ -235,8 +235,8 @@ class Noted(msgspec.Struct):
 
 
 class Imitation:
-    """The training of a `pupil` by a `teacher`, an agent's factory, in `task` or settings of a `draw`, round by
-    round."""
+    """The training of a `pupil` by a `teacher`, an agent's factory, in `task` or settings of a `draw`, round by round.
+    begun: the parts of the policy from which the pupil goes on, as bson.recurrent has them; None for a new one."""
 
     def __init__(
         self,
@@ -247,12 +247,15 @@ class Imitation:
         steps: int,
         config: DaggerConfig,
         seed: int,
+        begun: Any = None,
     ):
         torch.manual_seed(seed)
         self._teacher, self._pupil, self._task, self._draw, self._config = teacher, pupil, task, draw, config
         self._each = max(1, steps // config.rounds)
         self._rng, self.episodes = np.random.default_rng((0xDA66E5, seed)), Episodes()
-        self.network, self.rounds = Network(pupil.eye), 0
+        self.network, self.rounds, self._begun = Network(pupil.eye), 0, begun is not None
+        if begun is not None:
+            self.network.take(begun)
 
     @property
     def steps(self) -> int:
@@ -270,7 +273,7 @@ class Imitation:
         show: Callable[[int, float], object] = lambda update, loss: None,
     ) -> None:
         """One more round: episodes, and a fit to all so far."""
-        driver = self.network.parts() if self.rounds else None
+        driver = self.network.parts() if self.rounds or self._begun else None
 
         def settings():
             return self._draw.setting(self._rng, self._task) if self._draw else self._task

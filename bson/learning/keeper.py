@@ -193,7 +193,7 @@ def started(config: Any) -> Any:
     if config.start is None:
         return None
     policy, kind = learned.load(config.start), KINDS[config.inputs]
-    outputs = ("clip",) if config.algo == "ppo" else ("clip", "tanh")  # PPO's actions are clipped
+    outputs = ("clip", "tanh") if config.algo in ("sac", "tac") else ("clip",)  # others' actions are clipped
     if policy.kind is not kind or policy.output not in outputs:
         inputs = next(name for name, each in KINDS.items() if each is policy.kind)
         raise UsageError(

@@ -68,6 +68,7 @@ _STARTED_SAC = RecurrentSacConfig(
     warmup=1000,
 )
 STARTED: dict[str, Any] = {
+    "bc": DaggerConfig(rounds=6, learning_rate=5e-4),
     "ppo": RecurrentPpoConfig(learning_rate=1e-4, final_learning_rate=1e-5, log_std=-1.5, warmup=16),
     "sac": _STARTED_SAC,
     "tac": dataclasses.replace(_STARTED_SAC, q=1.2),
@@ -137,7 +138,7 @@ class TrainConfig:
     hyperparameters: Any = None  # a PpoConfig, SacConfig, BcConfig or the user's own; default: the algorithm's
     inputs: str = "scans"  # what the robot sees, of bson.agents.learned.KINDS
     draw: str | None = None  # settings to be drawn for the episodes (bson.learning.draw): a shipped draw, or a file
-    start: str | None = None  # of ppo, sac and tac with a recurrent robot: the policy from which it goes on
+    start: str | None = None  # of a recurrent robot: the policy from which it goes on
 
     def __post_init__(self):
         usual = hyperparameters(self.algo, inputs=self.inputs, start=self.start)
@@ -443,7 +444,7 @@ def _train_pupil(config, keeper, show):
     """Rounds of imitation, with a checkpoint after each."""
     draw, kind = load_draw(config.draw) if config.draw else None, INPUTS[config.inputs]
     settings = config.setting, draw, config.steps, config.hyperparameters, config.seed
-    training = Imitation(_teacher(config), kind, *settings)
+    training = Imitation(_teacher(config), kind, *settings, begun=started(config))
     if saved := read_checkpoint(keeper.folder, Noted):
         try:
             keeper.restore(training.restore(*saved))
