@@ -156,7 +156,7 @@ class TrainConfig:
                 others = ", ".join(name for name in INPUTS if name != "scans")
                 raise UsageError(f"A draw is for robots with --inputs of {others}, not {self.inputs}.")
         others = [name for name in INPUTS if name not in PUPILS]
-        fits = {"bc": ["scans", *PUPILS]} | {algo: list(INPUTS) for algo in STARTED}
+        fits = {algo: list(INPUTS) for algo in STARTED} | {"bc": ["scans", *PUPILS]}
         fits = fits.get(self.algo, others)
         if self.inputs not in fits:
             raise UsageError(f"{self.algo} learns with --inputs of {', '.join(fits)}, not {self.inputs}.")

@@ -525,6 +525,21 @@ def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path,
     assert load_agent(str(parts / "policy.npz")).track == ("global" if inputs == "gru-map" else "local")
 
 
+def test_a_pupil_goes_on_from_a_policy_and_drives_from_the_first_round_on(tmp_path, monkeypatch):
+    """With no update at all it stays the policy that it began as; the teacher drives in no round."""
+    from bson.learning import dagger
+    from bson.learning.train import TrainConfig, train
+
+    gathered, drove = dagger.gather, []
+    monkeypatch.setattr(dagger, "gather", lambda *a, **more: drove.append(a[2]) or gathered(*a, **more))
+    chosen = dagger.DaggerConfig("vfh", rounds=2, updates=0)
+    config = TrainConfig("bc", 0, 60, SMALL, 2, 1000, 1, chosen, "gru", None, "gru")
+    folder = train(config, tmp_path)
+    assert folder.name == "bc-gru-from-gru-0" and len(drove) == 2 and None not in drove
+    ours, theirs = (np.load(path) for path in (folder / "policy.npz", "assets/agents/gru.npz"))
+    assert ours.files == theirs.files and all(np.array_equal(ours[name], theirs[name]) for name in ours.files)
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

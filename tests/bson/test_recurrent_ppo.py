@@ -196,8 +196,8 @@ def test_a_training_begins_with_the_policy_that_it_is_given(tmp_path):
     ("arguments", "told"),
     [
         (
-            {"algo": "bc", "inputs": "gru", "start": "gru"},
-            "--start is for ppo, sac, tac with --inputs of gru, .* not bc",
+            {"algo": "bc", "start": "gru"},
+            "--start is for bc, ppo, sac, tac with --inputs of gru, .* not bc on scans",
         ),
         ({"start": "gru"}, "not ppo on scans"),
     ],

@@ -479,11 +479,15 @@ def test_hyperparameters_that_are_none_are_refused(field, value, told):
     ("arguments", "told"),
     [
         (["--algo", "tac", "--inputs", "eyes"], "inputs must be one of scans, .* gru-scans, not 'eyes'"),
-        (["--algo", "tac", "--start", "gru"], "--start is for ppo, sac, tac with --inputs of gru, .* not tac on scans"),
+        (
+            ["--algo", "tac", "--start", "gru"],
+            "--start is for bc, ppo, sac, tac with --inputs of gru, .* not tac on scans",
+        ),
         (
             ["--algo", "tac", "--inputs", "gru", "--start", "tac"],
             "--start tac: its inputs are scans, its output is tanh",
         ),
+        (["--algo", "bc", "--inputs", "gru-map", "--start", "gru"], "--start gru: its inputs are gru, .*gru-map"),
         (["--algo", "sac", "--inputs", "gru", "--preset", "paper"], "--inputs gru learns with no SacConfig"),
         (["--algo", "sac", "--inputs", "gru", "--teacher", "mppi"], "--teacher is whom bc imitates"),
         (

@@ -55,7 +55,9 @@ class Watched:
 
 
 @pytest.mark.parametrize("task", SETTINGS.values(), ids=SETTINGS)
-@pytest.mark.parametrize("name", [name for name in BUILT_IN if name not in ("stop", "random", "gru-shield", "gru-map-shield")])
+@pytest.mark.parametrize(
+    "name", [name for name in BUILT_IN if name not in ("stop", "random", "gru-shield", "gru-map-shield")]
+)
 def test_every_built_in_agent_drives_to_the_goal_of_an_empty_world(name, task):
     factory, actions = load_agent(name), []
     config, track = TaskConfig(**EMPTY, **task), make_track(factory.track, factory.sensor)
