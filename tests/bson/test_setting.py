@@ -213,9 +213,9 @@ def test_what_an_agent_cannot_drive_is_refused_in_one_line(name, its, told):
 @pytest.mark.parametrize("name", learned.names())
 def test_a_learned_agent_takes_other_people_maps_and_horizons(name):
     changes = [{"num_pedestrians": 99}, {"map": "doorway"}, {"obstacle_density": 1.0, "horizon": 7}, {"map_size": 20.0}]
-    sensor = load_agent(name).sensor
+    track, sensor = load_agent(name).track, load_agent(name).sensor
     for task in [{}, *changes, {"pedestrian_model": "orca"}, {"pedestrian_period": 0.02}]:
-        load_agent(name)(setting(sensor=sensor, **task))
+        load_agent(name)(setting(track, sensor, **task))
     load_agent(name)(setting("global", sensor))
 
 
