@@ -13,7 +13,7 @@ class Standing:
     """Who stands: whose running mean of velocities, of the time constant `time` [s], is slower than `speed` [m/s].
     period: between two looks [s]."""
 
-    def __init__(self, time: float, speed: float, period: float):
+    def __init__(self, period: float, time: float = 1.5, speed: float = 0.3):
         self._share, self._speed = min(1.0, period / time), speed
         self.forget()
 

@@ -22,15 +22,14 @@ _SEEN = 0.6  # a person is in sight where the beam ends at most this much nearer
 _MAP_SHARE = 1.5  # side of the map that a robot makes itself, in sides of the world's
 _REPLAN = 3.0  # at least so often a way is looked for anew, as walls and who stood there may have gone [s]
 _LOOK = 0.2  # between two looks whether walls or people who stand were found on the way [s]
-_STANDING_TIME, _STANDING_SPEED = 1.5, 0.3  # whose mean velocity over so long is slower stands [s, m/s]
 
 
 class Memory:
-    """The last scans, of which the vector of bson.guided tells beside what is ahead. task: a TaskConfig or Setting."""
+    """The last scans, of which the vector of bson.guided tells beside what is ahead."""
 
-    def __init__(self, task: Any):
-        self._top = (task.robot.max_speed, task.robot.max_yaw_rate)
-        self._radii = task.robot.radius + task.person_radius
+    def __init__(self, setting: Setting):
+        self._top = (setting.robot.max_speed, setting.robot.max_yaw_rate)
+        self._radii = setting.robot.radius + setting.person_radius
         self._scans: np.ndarray | None = None
 
     def vector(
@@ -61,12 +60,12 @@ class Memory:
 class Replanning:
     """A way round what stands, looked for anew where walls or standing people were found on the old one (as in D* Lite,
     Koenig and Likhachev, AAAI 2002), or the last look was long ago. Where people stand in all ways, it leads as if they
-    were not there. task: a TaskConfig or Setting."""
+    were not there."""
 
     ways: Ways  #: the present ones
 
-    def __init__(self, task: Any):
-        self._replan, self._look_every = (max(1, round(time / task.control_period)) for time in (_REPLAN, _LOOK))
+    def __init__(self, setting: Setting):
+        self._replan, self._look_every = setting.steps(_REPLAN), setting.steps(_LOOK)
         self._planned: int | None = None  # the step of the last plan
         self._part: Any = ()  # of the map, over which the ways lead
 
@@ -94,13 +93,13 @@ class Replanning:
 
 
 class Guide:
-    """The guide of one robot of a `task` (a TaskConfig or a Setting) in one episode, with the map's `grid`, inflated by
-    the robot, and its `goal` (2,). The way leads round people who stand."""
+    """The guide of one robot of a `setting` in one episode, with the map's `grid`, inflated by the robot, and its
+    `goal` (2,). The way leads round people who stand."""
 
-    def __init__(self, task: Any, grid: Grid, goal: np.ndarray):
-        self._open, self._memory, self._period = Ways(grid, goal), Memory(task), task.control_period
-        self._clearance, self._person_radius = task.robot.radius + MARGIN, task.person_radius
-        self._plan, self._standing = Replanning(task), Standing(_STANDING_TIME, _STANDING_SPEED, task.control_period)
+    def __init__(self, setting: Setting, grid: Grid, goal: np.ndarray):
+        self._open, self._memory, self._period = Ways(grid, goal), Memory(setting), setting.control_period
+        self._clearance, self._person_radius = setting.robot.radius + MARGIN, setting.person_radius
+        self._plan, self._standing = Replanning(setting), Standing(setting.control_period)
         self._steps = 0
         self._people: np.ndarray | None = None
         self.length = 0.0  #: of the way from the last place seen [m]
@@ -117,11 +116,12 @@ class Guide:
         """
         before = people if self._people is None else self._people
         self._people = people.copy()
-        self._standing.see((people - before) / self._period)
+        walk = (people - before) / self._period
+        self._standing.see(walk)
         self._plan.look(self._steps, pose[:2], self._seen, self._around)
         self._steps += 1
         aim, beyond, self.length = self._plan.ways.ahead(pose[:2])
-        velocity = geometry.to_body((people - before) / self._period, pose[2])
+        velocity = geometry.to_body(walk, pose[2])
         place = geometry.to_body(people - pose[:2], pose[2])
         if in_sight:
             seen = visible(place, observation["lidar"])

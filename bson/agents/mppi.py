@@ -316,7 +316,7 @@ class Mppi:
         self._view = GlobalView(setting)
         self._controller = Controller(setting, config)
         self._remap = setting.steps(config.remap)
-        self._standing = Standing(config.standing_time, config.standing_speed, setting.control_period)
+        self._standing = Standing(setting.control_period, config.standing_time, config.standing_speed)
         self.reset(0)
 
     def reset(self, seed: int | None = None) -> None:

@@ -20,13 +20,14 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bson.agents import learned
-from bson.agents.contract import Agent, Setting
+from bson.agents.contract import Setting
 from bson.agents.guide import MapSight, ScanSight
 from bson.agents.rollout import RolloutConfig, gap, going_on, robot_row, rollout
 from macid.geometry import wrap_angle
@@ -77,16 +78,16 @@ class ShieldConfig(RolloutConfig):
 
 class Shield:
     """The agent `policy` of one world of `setting` behind the shield: called with one world's observation each control
-    period, it returns an action (2,) in [-1, 1]. policy: any agent with the LIDAR. The shield sees by the LIDAR alone;
-    a policy's `eyes` that see a map (MapSight) tell it the way ahead.
+    period, it returns an action (2,) in [-1, 1]. policy: any agent with the LIDAR, or for `guard` alone what
+    has its `eyes`. The shield sees by the LIDAR alone; `eyes` that see a map (MapSight) tell it the way ahead.
 
     Raises Unsuited where there is no level Lidar2D.
     """
 
     track, sensor = "local", "lidar2d"
 
-    def __init__(self, policy: Agent, setting: Setting, config: ShieldConfig = ShieldConfig()):
-        self.config, self.policy = config, policy
+    def __init__(self, policy: Any, setting: Setting, config: ShieldConfig = ShieldConfig()):
+        self.config, self._policy = config, policy
         eyes = getattr(policy, "eyes", None)
         self._shared = isinstance(eyes, ScanSight)
         self.sight: ScanSight = eyes if isinstance(eyes, ScanSight) else ScanSight(setting)  #: what it sees by
@@ -103,7 +104,7 @@ class Shield:
 
     def reset(self, seed: int | None) -> None:
         """Begins an episode."""
-        if (reset := getattr(self.policy, "reset", None)) is not None:
+        if (reset := getattr(self._policy, "reset", None)) is not None:
             reset(seed)
         if not self._shared:
             self.sight.reset()
@@ -116,7 +117,12 @@ class Shield:
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
-        wish = np.asarray(self.policy(observation), float)
+        return self.guard(self._policy(observation), observation)
+
+    def guard(self, wish: np.ndarray, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        """What to drive (2,) in place of the policy's action `wish` (2,) on one world's observation, which its eyes, if
+        they are shared, have seen."""
+        wish = np.asarray(wish, float)
         if not self._shared:
             self.sight.look_ahead(observation)
         tried = self._commands(np.clip(wish, -1.0, 1.0))

@@ -83,7 +83,8 @@ def train(
         if algo != "bc" or inputs not in SHIELDED:
             told = f"not of {algo} on {inputs}"
             raise UsageError(f"--shield is of bc with --inputs {' or '.join(SHIELDED)}, {told}.")
-        chosen = dataclasses.replace(chosen, shield=True)
+        if hasattr(chosen, "shield"):  # a TrainConfig refuses the others
+            chosen = dataclasses.replace(chosen, shield=True)
     more = {"hyperparameters": chosen, "inputs": inputs, "draw": draw, "start": start}
     configs = [TrainConfig(algo, one, int(steps), overrides or {}, worlds, **more) for one in range(seed, seed + seeds)]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)

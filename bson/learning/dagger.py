@@ -10,6 +10,7 @@ that sees depth pictures.
 import dataclasses
 import json
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import msgspec
@@ -106,7 +107,7 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
     for one, seed in zip(teachers, seeds, strict=True):
         reset_agent(one, seed)
     sights = [pupil.sight(setting) for _ in everyone]
-    shields = [Shield(_Told(sight), setting) for sight in sights] if config.shield else None
+    shields = [Shield(SimpleNamespace(eyes=sight), setting) for sight in sights] if config.shield else None
     state = np.zeros((session.nworld, UNITS), np.float32)
     pushed = (np.arange(session.nworld) % 2 == 0)[:, None] * config.noise
     push = np.zeros((session.nworld, 2))
@@ -129,7 +130,7 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
             action, state[going] = recurrent.step(network, vector, pictures, state[going])
             action = np.clip(action, -1.0, 1.0)
             if shields is not None:
-                action = np.stack([_shielded(shields[i], *row) for i, *row in zip(going, action, each, strict=True)])
+                action = np.stack([shields[i].guard(*row) for i, *row in zip(going, action, each, strict=True)])
         observation, _, terminated, truncated = session.step(going, action)
         count += len(going)
         progress(len(going))
@@ -141,22 +142,6 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
         into.picture.append(np.array(pictures, np.float16) if pupil.pictures else np.zeros(0, np.float16))
         into.wanted.append(np.array(wanted, np.float32))
     return count
-
-
-class _Told:
-    """An agent that does what it was told last, and sees by `eyes`."""
-
-    def __init__(self, eyes):
-        self.eyes, self.wish = eyes, np.zeros(2)
-
-    def __call__(self, observation):
-        return self.wish
-
-
-def _shielded(shield, wish, observation):
-    """What is driven behind the `shield` of a _Told in place of `wish` (2,)."""
-    shield.policy.wish = wish
-    return shield(observation)
 
 
 def fit(

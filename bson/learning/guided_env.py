@@ -122,14 +122,14 @@ class _Group:
         session = self._session
         observation = session.reset(ids, [training_seed(self._rng) for _ in ids])
         world, config = session.world, session.config
-        clearance = config.robot.radius + MARGIN
+        clearance, setting = config.robot.radius + MARGIN, Setting.of(config, self._track)
         for index in ids:
             occupied = world.occupancy(index)
             grid = Grid(occupied, config.map_size / len(occupied), np.full(2, -config.map_size / 2))
             guide = _Way if self._pupil else Guide
-            self._guides[index] = guide(config, grid.inflated(clearance), world.goal[index])
+            self._guides[index] = guide(setting, grid.inflated(clearance), world.goal[index])
             if self._pupil:
-                self._sights[index] = self._pupil.sight(Setting.of(config, self._track))
+                self._sights[index] = self._pupil.sight(setting)
         self._blind[ids] = self._rng.random(len(ids)) < _HALF_BLIND
         self._returns[ids] = 0.0
         return self._look(ids, observation)
@@ -179,7 +179,7 @@ class _Group:
 class _Way:
     """A Guide that knows the way's length alone."""
 
-    def __init__(self, task, grid, goal):
+    def __init__(self, setting, grid, goal):
         self._ways, self.length = Ways(grid, goal), 0.0
 
     def see(self, observation, pose, people, in_sight=False):

@@ -179,7 +179,7 @@ def test_walls_grow_as_those_of_a_grid_do():
 
 
 def test_who_stands_is_told_by_the_mean_of_velocities():
-    standing, period = Standing(1.5, 0.3, 0.1), 0.1
+    standing, period = Standing(0.1), 0.1
     for step in range(60):
         walks = [1.2, 0.0] if step < 30 else [0.0, 0.0]
         standing.see(np.array([walks, [0.5 * (-1) ** step, 0.0], [0.0, 0.0]]))
@@ -201,7 +201,8 @@ def test_a_guide_leads_round_people_who_stand_where_there_is_another_way(doors):
     if doors == 2:
         occupied[60:68, 39:41] = False
     grid, goal = Grid(occupied, 0.25, [-10.0, -10.0]).inflated(config.robot.radius + MARGIN), np.array([5.0, 0.0])
-    guide, pose, lengths, people = Guide(config, grid, goal), np.array([-3.0, 0.0, 0.0]), [], np.zeros((40, 1, 2))
+    setting = Setting.of(config, make_track("global", "lidar2d"))
+    guide, pose, lengths, people = Guide(setting, grid, goal), np.array([-3.0, 0.0, 0.0]), [], np.zeros((40, 1, 2))
     people[:10, 0, 1] = np.linspace(3.0, 0.0, 10)
     seen = {"velocity": np.zeros(2), "goal": np.array([8.0, 0.0]), "lidar": np.full(720, 10.0)}
     for place in people:

@@ -494,6 +494,7 @@ def test_hyperparameters_that_are_none_are_refused(field, value, told):
             ["--algo", "sac", "--inputs", "gru", "--shield"],
             "--shield is of bc with --inputs gru or gru-map or gru-scans",
         ),
+        (["--algo", "bc", "--inputs", "gru", "--shield", "--preset", "paper"], "gru learns with no BcConfig"),
         (["--algo", "bc", "--inputs", "camera", "--shield"], "not of bc on camera"),
         (["--algo", "tac", "--inputs", "gru-scans", "--engine", "warp"], "--engine warp trains ppo, not 'tac'"),
     ],
