@@ -31,12 +31,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from bson.agents.arrival import well_in
 from bson.agents.contract import Setting
 from bson.agents.global_view import GlobalView, Standing
 from bson.agents.rollout import RolloutConfig, gaps, going_on, robot_row, rollout
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
-from macid.geometry import wrap_angle
+from macid.geometry import rotate, wrap_angle
 from macid.state import FAR_AWAY, GOAL_RADIUS
 
 
@@ -72,6 +73,7 @@ class MppiConfig(RolloutConfig):
     time_weight: float = 6.0  # [points/s]
     length_weight: float = 2.0  # of way driven or to go [points/m]
     back_weight: float = 1.0  # of driving back, beside the length [points/m]
+    arrived: float = 0.33  # from the goal: a way is driven on so far into its circle
 
     remap: float = 1.0  # between two looks at the whole map, as people move on it
     standing_time: float = 1.5  # of the running mean of people's velocities
@@ -111,7 +113,7 @@ class Controller:
     """The part that all agents of this kind share: it turns a map with a goal, and people, into actions."""
 
     def __init__(self, setting: Setting, config: MppiConfig):
-        self.config, self._period = config, setting.control_period
+        self.config, self._setting, self._period = config, setting, setting.control_period
         self.step = max(config.step, setting.control_period)
         self.times = self.step * np.arange(1, config.horizon + 1)  # of the rollout [s]
         self.radius = setting.robot.radius
@@ -185,7 +187,8 @@ class Controller:
         share = self._period / self.step
         self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
         self.planned = way + pose[:2]
-        return np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
+        action = np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
+        return well_in(action, rotate(self._goal - pose[:2], -pose[2]), float(velocity[0]), self._setting)
 
 
 def _lookup(world, x, y):
@@ -230,7 +233,8 @@ def _costs(config, world, x, y, yaw, v):
     """The costs (N,) of ways (T, N)."""
     c, step = config, world.step
     times = step * jnp.arange(1, x.shape[0] + 1, dtype=jnp.float32)[:, None]
-    before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), _arrived(world, x, y)[:-1]])
+    there = (x - world.goal[0]) ** 2 + (y - world.goal[1]) ** 2 < c.arrived**2
+    before = jnp.concatenate([jnp.zeros((1, x.shape[1]), bool), there[:-1]])
     going = jnp.cumprod(1.0 - before, axis=0)  # until the goal
     weight = step * jnp.exp(-times / c.patience) * going
     people = jnp.swapaxes(world.people, 0, 1)
@@ -252,16 +256,12 @@ def _costs(config, world, x, y, yaw, v):
     clear = clear - world.robot[5] - c.wall_gap
     cost += c.wall_weight * jnp.sum(weight * jnp.maximum(1.0 - clear / c.wall_room, 0.0) ** 2, axis=0)
     left = _read(world.way.ravel(), (place[0][-1], place[1][-1], place[2][-1]))
-    left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - _arrived(world, x[-1], y[-1]))
+    left = jnp.maximum(left - GOAL_RADIUS, 0.0) * going[-1] * (1 - there[-1])
     way = step * jnp.sum(jnp.abs(v) * going, axis=0)
     cost += c.time_weight * (step * jnp.sum(going, axis=0) + left / world.robot[0])
     cost += c.length_weight * (way + left)
     cost += c.back_weight * step * jnp.sum(jnp.maximum(-v, 0.0) * going, axis=0)
     return cost
-
-
-def _arrived(world, x, y):
-    return (x - world.goal[0]) ** 2 + (y - world.goal[1]) ** 2 < (0.9 * GOAL_RADIUS) ** 2
 
 
 @functools.partial(jax.jit, static_argnums=0)

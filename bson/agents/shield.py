@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bson.agents import learned
+from bson.agents.arrival import well_in
 from bson.agents.contract import Setting
 from bson.agents.guide import MapSight, ScanSight
 from bson.agents.rollout import RolloutConfig, gap, going_on, robot_row, rollout
@@ -92,7 +93,7 @@ class Shield:
         self._shared = isinstance(eyes, ScanSight)
         self.sight: ScanSight = eyes if isinstance(eyes, ScanSight) else ScanSight(setting)  #: what it sees by
         self._guide = eyes if isinstance(eyes, MapSight) else self.sight
-        self._period = setting.control_period
+        self._setting, self._period = setting, setting.control_period
         self._top, self._robot = setting.top, robot_row(config, setting)
         self._person_radius = np.float32(setting.person_radius)
         self._step = max(config.step, setting.control_period)
@@ -122,11 +123,12 @@ class Shield:
     def guard(self, wish: np.ndarray, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """What to drive (2,) in place of the policy's action `wish` (2,) on one world's observation, which its eyes, if
         they are shared, have seen."""
-        wish = np.asarray(wish, float)
+        wish, speed = np.asarray(wish, float), float(observation["velocity"][0])
+        wish = well_in(wish, observation["goal"], speed, self._setting)
         if not self._shared:
             self.sight.look_ahead(observation)
         tried = self._commands(np.clip(wish, -1.0, 1.0))
-        self._feel(float(observation["velocity"][0]))
+        self._feel(speed)
         people, walls = self._people(), self._near_walls()
         self._note(self.sight.to_goal_bound(np.zeros((1, 2)))[0])
         aim = self._guide.aim if self._stuck_at is None else self._detour(people[:, 0], walls)
@@ -145,7 +147,7 @@ class Shield:
             )
         )
         chosen = self._choose(tried, risk, gain, way)
-        self._expect(float(observation["velocity"][0]), float(tried[chosen, 0] * self._top[0]))
+        self._expect(speed, float(tried[chosen, 0] * self._top[0]))
         return tried[chosen] if chosen else wish
 
     def _commands(self, wish):
