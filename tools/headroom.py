@@ -22,7 +22,7 @@ from macid.command import Parser, check_words
 from macid.files import UsageError, write_bytes
 from macid.running import run_command
 
-DIGITS = 2
+DIGITS = 4
 
 
 def rounded(values):

@@ -21,10 +21,11 @@ def well_in(action: np.ndarray, goal: np.ndarray, speed: float, setting: Setting
     goal's circle; goal: (2,) its place, robot frame [m]; speed: the robot's present one [m/s].
 
     Only who drives straight to the goal is slowed down, over some last steps, by a few percent each as a rule and
-    never below 0.6 of the speed wanted. The speed is taken to change evenly over a control step.
+    never below 0.6 of the speed wanted. The speed is taken to change evenly over a control step. A step that is longer
+    than the circle's radius is to end in its middle.
     """
     period, wanted = setting.control_period, float(action[0]) * float(setting.top[0])
-    outside = math.hypot(*goal) - GOAL_RADIUS - _SLACK
+    outside = math.hypot(*goal) - max(GOAL_RADIUS + _SLACK, wanted * period)
     if wanted <= 0.0 or outside <= 0.0 or abs(math.atan2(goal[1], goal[0])) > _STRAIGHT:
         return action
     steps = math.ceil(outside / (wanted * period) - _OVER)

@@ -28,7 +28,7 @@ import numpy as np
 
 from bson.agents import learned
 from bson.agents.arrival import well_in
-from bson.agents.contract import Setting
+from bson.agents.contract import Setting, act
 from bson.agents.guide import MapSight, ScanSight
 from bson.agents.rollout import RolloutConfig, gap, going_on, robot_row, rollout
 from macid.geometry import wrap_angle
@@ -118,16 +118,16 @@ class Shield:
 
     def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """The action (2,) for one world's observation (see bson.interfaces.gym.BsonEnv)."""
-        return self.guard(self._policy(observation), observation)
+        return self.guard(act(self._policy, observation), observation)
 
     def guard(self, wish: np.ndarray, observation: Mapping[str, np.ndarray]) -> np.ndarray:
         """What to drive (2,) in place of the policy's action `wish` (2,) on one world's observation, which its eyes, if
         they are shared, have seen."""
-        wish, speed = np.asarray(wish, float), float(observation["velocity"][0])
+        wish, speed = np.clip(np.asarray(wish, float), -1.0, 1.0), float(observation["velocity"][0])
         wish = well_in(wish, observation["goal"], speed, self._setting)
         if not self._shared:
             self.sight.look_ahead(observation)
-        tried = self._commands(np.clip(wish, -1.0, 1.0))
+        tried = self._commands(wish)
         self._feel(speed)
         people, walls = self._people(), self._near_walls()
         self._note(self.sight.to_goal_bound(np.zeros((1, 2)))[0])
@@ -148,7 +148,7 @@ class Shield:
         )
         chosen = self._choose(tried, risk, gain, way)
         self._expect(speed, float(tried[chosen, 0] * self._top[0]))
-        return tried[chosen] if chosen else wish
+        return tried[chosen]
 
     def _commands(self, wish):
         """Shares (N, 2) of top speed and yaw rate: `wish` (2,) first, then those that differ from it in one of both,

@@ -80,10 +80,12 @@ def leaderboard(
     results of one suite have different episodes.
     """
     from bson.reporting.board import publish
-    from bson.reporting.leaderboard import fill_readme, leaderboard
+    from bson.reporting.leaderboard import fill_readme, filled_readme, leaderboard
 
     found = [_loaded(each) for each in results]
     text = leaderboard(found)
+    if readme is not None:
+        filled_readme(readme, text)  # raises before anything is written
     if out is not None:
         for line in publish(found, out, everything):
             told(line)

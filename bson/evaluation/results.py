@@ -29,10 +29,12 @@ class _Cell(msgspec.Struct):
     name: _Name
     grades: dict[_Name, _Word]
     config: dict[str, Any]
+    summary: dict[_Name, float] = {}
+    intervals: dict[_Name, tuple[float, float]] = {}
 
 
 class _Fault(msgspec.Struct):
-    seed: int
+    seed: _Count
     cell: _Name
     time: float
     what: str
@@ -42,7 +44,7 @@ _SCORED = msgspec.defstruct(
     "_Scored",
     [
         ("cell", _Name),
-        ("seed", int),
+        ("seed", _Count),
         *((metric.name, float | msgspec.UnsetType | None, msgspec.UNSET) for metric in METRICS),
         ("people", dict[str, list[float | None]] | msgspec.UnsetType, msgspec.UNSET),
     ],

@@ -8,6 +8,7 @@ import collections
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import pathlib
@@ -148,7 +149,7 @@ def verify(
     from bson.evaluation.overrides import read_overrides
     from bson.evaluation.play import episode_row, fault_row, versions
     from bson.evaluation.store import basis, files_digest
-    from bson.evaluation.suites import load_suite
+    from bson.evaluation.suites import HELD_OUT, load_suite
     from macid.executors import make_executor
 
     if not 0 < share <= 1:
@@ -160,6 +161,10 @@ def verify(
     chosen = load_suite(content["suite"] if suite is None else suite, passphrase)
     if chosen.name != content["suite"]:
         raise UsageError(f"'{results}' has results of the suite {shown(content['suite'])}, not of '{chosen.name}'.")
+    rows = found.rows
+    faults = {(row["cell"], row["seed"]): row for row in content.get("faults", [])}
+    if chosen.name == HELD_OUT and {seed for _, seed in [*rows, *faults]}.isdisjoint(itertools.chain(*chosen.apart)):
+        raise UsageError(f"'{results}' has no seed of this passphrase: it was made with another one.")
     changes = read_overrides(f"{key}={text}" for key, text in content.get("overrides", {}).items())
     cells = {
         cell.name: dataclasses.replace(cell, config=cell.config.replace(**changes))
@@ -176,8 +181,6 @@ def verify(
     seen = make_track(*wanted)
     check_settings(make_agent, [cell.config for cell in cells.values()], seen)
 
-    rows = found.rows
-    faults = {(row["cell"], row["seed"]): row for row in content.get("faults", [])}
     draw = secrets.randbelow(_MOST_DRAW) if draw is None else draw
     again = drawn([*rows, *faults], share, draw)
     seeds = {name: [seed for cell, seed in again if cell == name] for name in cells}
@@ -207,7 +210,7 @@ def verify(
 
     digests = content.get("suite_digest"), None if changes else chosen.digest
     problems = [
-        *_missing(chosen, rows.keys() | faults.keys(), list(cells)),
+        *_missing(chosen, rows.keys() | faults.keys(), list(cells), content.get("frozen_seeds", True)),
         *_other_settings(found.configs, {name: _json(dataclasses.asdict(cell.config)) for name, cell in cells.items()}),
         *_other_means(content),
     ]
@@ -296,8 +299,9 @@ def _difference(was, now):
     return {name: (was[name], now[name]) for name in was if name in now and was[name] != now[name]}
 
 
-def _missing(suite, played, cells):
-    """A line for each cell in which other episodes were `played`, {(cell, seed)}, than its first ones in the suite."""
+def _missing(suite, played, cells, frozen):
+    """A line for each cell in which other episodes were `played`, {(cell, seed)}, than its first ones in the suite, and
+    where they are not of the `frozen` set, or are, against what the results say."""
     seeds = {name: [seed for cell, seed in played if cell == name] for name in cells}
     most = max(map(len, seeds.values()))
     ((stride, _),) = collections.Counter(suite.stride(seed) for _, seed in played).most_common(1)
@@ -306,6 +310,8 @@ def _missing(suite, played, cells):
     except ValueError as error:
         return [f"more episodes than the suite has: {error}"]
     lines = [f"cell '{name}' was not played" for name in wanted if name not in cells]
+    if frozen != (stride == 0):
+        lines.append(f"frozen_seeds is {json.dumps(frozen)}, the seeds are those of --seed {stride}")
     for name in cells:
         for what, found in (
             ("left out", [seed for seed in wanted[name] if seed not in seeds[name]]),

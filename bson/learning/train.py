@@ -6,6 +6,7 @@ import pathlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from bson.agents import learned, load_agent
-from bson.agents.contract import Setting, Unsuited
+from bson.agents.contract import Setting, Unsuited, check_settings
+from bson.agents.shield import Shield
 from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.dagger import DaggerConfig, Imitation, Noted
+from bson.learning.dagger import DaggerConfig, Imitation, Noted, common_track
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
@@ -321,6 +323,8 @@ def train(
     if config.algo == "bc" and not is_done(config, path):
         # Refuses a wrong expert before anything is written.
         _expert(config) if config.inputs == "scans" else _teacher(config)
+    if config.inputs in PUPILS and not is_done(config, path):
+        _check_pupil(config)
     if config.start is not None and not is_done(config, path):
         started(config)
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
@@ -435,9 +439,35 @@ def _expert(config):
     return expert
 
 
+def _drawn(config):
+    """A setting of the training's."""
+    if config.draw is None:
+        return config.setting
+    return load_draw(config.draw).setting(np.random.default_rng(config.seed), config.setting)
+
+
 def _teacher(config):
-    """The factory of a pupil's teacher. Raises UsageError where there is none of that name."""
-    return load_agent(config.hyperparameters.expert)
+    """The factory of a pupil's teacher. Raises UsageError where there is none of that name, or where it refuses a
+    setting of the training's."""
+    teacher = load_agent(config.hyperparameters.expert)
+    try:
+        check_settings(teacher, [_drawn(config)], common_track(teacher, INPUTS[config.inputs]))
+    except Unsuited as error:
+        raise UsageError(f"{str(error).partition(';')[0].rstrip('.')}.") from None
+    return teacher
+
+
+def _check_pupil(config):
+    """Raises UsageError where a pupil, or its shield, refuses a setting of the training's."""
+    kind: Any = INPUTS[config.inputs]
+    setting, told = Setting.of(_drawn(config), common_track(kind, kind)), f"A robot with --inputs {config.inputs}"
+    try:
+        sight = kind.sight(setting)
+        if getattr(config.hyperparameters, "shield", False):
+            told = "The shield"
+            Shield(SimpleNamespace(eyes=sight), setting)
+    except Unsuited as error:
+        raise UsageError(f"{told} {error}") from None
 
 
 def _train_pupil(config, keeper, show):

@@ -5,6 +5,7 @@ of one agent are one column (Group): bson.evaluation.statistics says what their 
 """
 
 import dataclasses
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -77,6 +78,13 @@ def check_comparable(runs: Sequence[Results]) -> None:
                 f"Can't compare '{first.source}' and '{run.source}': a map, a robot or the pedestrians' weights "
                 "changed in between, under the same name. Evaluate again."
             )
+
+
+def check_different(runs: Sequence[Results]) -> None:
+    """Raises ValueError where two of `runs` are the same: one agent's, with equal episodes."""
+    for first, second in itertools.combinations(runs, 2):
+        if first.agent == second.agent and first.content["episodes"] == second.content["episodes"]:
+            raise ValueError(f"'{first.source}' and '{second.source}' are the same results: name them once.")
 
 
 def _setting(value):
@@ -216,13 +224,16 @@ def compare(columns: Sequence[Results | Group]) -> dict[str, Any]:
     the first column; interquartile means, and of each pair of columns the probability that one does better.
 
     columns: Results, or Groups of them, in which the runs differ by their training seeds alone. Raises ValueError where
-    the runs are of different suites, versions of a suite or settings, or share no episode.
+    the runs are of different suites, versions of a suite or settings, or share no episode, or where a group has a run
+    twice.
     """
     if len(columns) < 2:
         raise ValueError("Name at least two results to compare.")
     groups = [each if isinstance(each, Group) else Group((each,)) for each in columns]
     runs = [run for group in groups for run in group.runs]
     check_comparable(runs)
+    for group in groups:
+        check_different(group.runs)
     keys, names, first = _shared(runs), labels(groups), runs[0].content
     metrics = [
         m.name for m in metrics_of(first) if all(m.name in row for run in runs for row in run.content["episodes"])

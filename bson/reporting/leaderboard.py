@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 
 from bson.evaluation.results import Results
-from bson.reporting.compare import check_comparable
+from bson.reporting.compare import check_comparable, check_different
 from bson.reporting.page import plural
 from macid.documents import read_bytes
 from macid.files import UsageError, check_file, named, write_bytes
@@ -30,6 +30,7 @@ def played(run: Results) -> set[tuple[str, int]]:
 def _check(runs):
     """Raises ValueError unless all `runs` of a suite have the same version, setting and episodes."""
     check_comparable(runs)
+    check_different(runs)
     for run in runs[1:]:
         if played(run) != played(runs[0]):
             raise ValueError(
@@ -106,8 +107,8 @@ def leaderboard(runs: Sequence[Results]) -> str:
     return "\n\n".join(tables)
 
 
-def fill_readme(path: str | pathlib.Path, text: str) -> None:
-    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError."""
+def filled_readme(path: str | pathlib.Path, text: str) -> bytes:
+    """The content of the file `path` with `text` between its marks BEGIN and END. Raises ValueError."""
     path, wanted = check_file(path), f"Name a text file with {BEGIN} and {END}."
     try:
         content = read_bytes(path, "README", _MOST_BYTES).decode()
@@ -121,4 +122,9 @@ def fill_readme(path: str | pathlib.Path, text: str) -> None:
         raise ValueError(f"'{path}' must have the lines {BEGIN} and {END}, once each and in this order.")
     newline = "\r\n" if "\r\n" in content else "\n"
     table = f"{BEGIN}\n{text}\n{END}".replace("\n", newline)
-    write_bytes(path, f"{before}{table}{after}".encode())
+    return f"{before}{table}{after}".encode()
+
+
+def fill_readme(path: str | pathlib.Path, text: str) -> None:
+    """Puts `text` between the marks BEGIN and END of the file `path`, all or nothing. Raises ValueError."""
+    write_bytes(path, filled_readme(path, text))

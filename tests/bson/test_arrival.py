@@ -80,14 +80,14 @@ def ends(make, config, track, seeds):
 
 
 @pytest.mark.parametrize("robot", robot_names())
-@pytest.mark.parametrize("period", [0.1, 0.2])
+@pytest.mark.parametrize("period", [0.1, 0.2, 0.4, 0.5])
 def test_behind_the_shield_a_robot_ends_deep_in_the_circle(robot, period):
     config = TaskConfig(num_pedestrians=0, robot=robot, control_period=period, goal_distance=(5.0, 9.0))
     bare = ends(lambda setting: ToGoal(), config, "local", range(6))
     found = ends(lambda setting: Shield(ToGoal(), setting), config, "local", range(6))
-    step = config.robot.max_speed * period
+    step = min(config.robot.max_speed * period, GOAL_RADIUS)
     assert found.mean() < bare.mean() - 0.1 * step
-    assert found.max() < GOAL_RADIUS - 0.6 * min(step, GOAL_RADIUS)
+    assert found.mean() < GOAL_RADIUS - 0.8 * step
 
 
 def test_mppi_ends_deep_in_the_circle():

@@ -1,6 +1,7 @@
 import copy
 import json
 import os
+import shutil
 
 import numpy as np
 import pytest
@@ -301,6 +302,13 @@ def test_the_readme_gets_the_table_between_its_marks_and_nothing_else_changes(fo
     assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
 
 
+def test_a_readme_that_is_refused_leaves_no_board(folders, tmp_path, capsys):
+    (tmp_path / "README.md").write_text("no marks")
+    words = ["--readme", str(tmp_path / "README.md"), "--out", str(tmp_path / "board"), "--all"]
+    assert cli.main(["leaderboard", str(folders / "stop"), *words]) == 2
+    assert BEGIN in capsys.readouterr().err and not (tmp_path / "board").exists()
+
+
 @pytest.mark.parametrize("text", ["no marks", BEGIN, END, f"{END}\n{BEGIN}", f"{BEGIN}{END}{BEGIN}{END}", None])
 def test_a_readme_without_its_two_marks_is_left_alone(tmp_path, text):
     path = tmp_path / "README.md"
@@ -335,7 +343,7 @@ def test_what_is_no_readme_is_told_in_one_line(tmp_path, content):
 
 def _trained(scores):
     """Results of several trainings of one agent, {seed: score} each."""
-    return tuple(_scores("tac", each) for each in scores)
+    return tuple(_scores(f"tac-{seed}", each) for seed, each in enumerate(scores))
 
 
 def test_several_trainings_are_one_column_with_an_interval_over_them():
@@ -383,6 +391,9 @@ def test_groups_are_named_on_the_command_line(folders, tmp_path, capsys):
     content = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert [(run["name"], run["training_seeds"]) for run in content["runs"]] == [("both", 2), ("goal", 1)]
     assert "over training seeds and episodes" in (tmp_path / "out" / "compare.html").read_text()
+    shutil.copytree(goal, tmp_path / "copy")
+    for words in (["compare", f"a={goal},{tmp_path / 'copy'}", str(stop)], ["leaderboard", str(goal), str(goal)]):
+        assert cli.main(words) == 2 and "are the same results: name them once" in capsys.readouterr().err
     for wrong in (f"={stop}", f"both={stop},", "both="):
         assert cli.main(["compare", wrong, str(goal)]) == 2
         assert "NAME=RESULTS,RESULTS" in capsys.readouterr().err

@@ -496,6 +496,18 @@ def test_hyperparameters_that_are_none_are_refused(field, value, told):
         ),
         (["--algo", "bc", "--inputs", "gru", "--shield", "--preset", "paper"], "gru learns with no BcConfig"),
         (["--algo", "bc", "--inputs", "camera", "--shield"], "not of bc on camera"),
+        (
+            ["--algo", "bc", "--inputs", "gru", "--teacher", "tac", "--set", "robot=diffbot"],
+            "Agent 'tac' was trained with robot jackal, not with robot diffbot.$",
+        ),
+        (
+            ["--algo", "ppo", "--inputs", "gru", "--set", "control_period=1.0"],
+            "A robot with --inputs gru needs",
+        ),
+        (
+            ["--algo", "bc", "--inputs", "gru-map", "--teacher", "goal", "--shield", "--set", "control_period=1.0"],
+            "The shield needs a control_period of at most 0.5 s",
+        ),
         (["--algo", "tac", "--inputs", "gru-scans", "--engine", "warp"], "--engine warp trains ppo, not 'tac'"),
     ],
 )
