@@ -3,7 +3,7 @@
 import functools
 import pathlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -24,9 +24,15 @@ from macid.learning.curves import plain, thin, write_curve
 from macid.policy import check_layers
 
 SCORES = ("SNS", "RC", "Coll", "SP", "PE", "success")
+RECENT = 100  # number of ended episodes in a curve's means
 _VALIDATION_SEED = 9  # of the suite `paper`: other episodes than the scored ones
 _LAYER = ("weight", "bias")
 Count = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
+
+
+def means_of(ended: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The means over episodes of what their infos tell as `episode` (bson.learning.vec_env.summary)."""
+    return {name: float(np.mean([one[name] for one in ended])) for name in ("r", "l", *SCORES)}
 
 
 class _Best(msgspec.Struct):

@@ -6,7 +6,6 @@ import pathlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,23 +13,21 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from bson.agents import learned, load_agent
-from bson.agents.contract import Setting, Unsuited, check_settings
-from bson.agents.shield import Shield
+from bson.agents import learned
+from bson.agents.contract import Setting, Unsuited
 from bson.episodes.tracks import make_track
 from bson.evaluation.executors import carried_agent, carried_code, carried_task
 from bson.learning import checkpoint
 from bson.learning.algorithms import PpoConfig, SacConfig, export
-from bson.learning.dagger import DaggerConfig, Imitation, Noted, common_track
+from bson.learning.dagger import DaggerConfig
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
-from bson.learning.keeper import SCORES, BestKeeper, noted_config, started
-from bson.learning.recurrent_ppo import Noted as NotedPpo
-from bson.learning.recurrent_ppo import RecurrentPpo, RecurrentPpoConfig
-from bson.learning.recurrent_sac import Noted as NotedSac
-from bson.learning.recurrent_sac import RecurrentSac, RecurrentSacConfig
+from bson.learning.keeper import RECENT, BestKeeper, means_of, noted_config, started
+from bson.learning.pupils import check_pupil, imitate, reinforce, teacher_of
+from bson.learning.recurrent_ppo import RecurrentPpoConfig
+from bson.learning.recurrent_sac import RecurrentSacConfig
 from bson.learning.vec_env import FeatureVecEnv
 from bson.task import TaskConfig
 from macid import start
@@ -123,7 +120,6 @@ def hyperparameters(algo: str, preset: str = "fast", inputs: str = "scans", star
 
 _TRACK = make_track(learned.Learned.track, learned.Learned.sensor)  # of recipes' settings, and of BC
 _REMEMBERING = DaggerConfig | RecurrentPpoConfig | RecurrentSacConfig
-_RECENT = 100  # number of ended episodes in the curve's means
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,7 +201,7 @@ class _Progress(BaseCallback):
 
     def _on_step(self):
         ended = [info["episode"] for info in self.locals["infos"] if "episode" in info]
-        self.recent = (self.recent + ended)[-_RECENT:]
+        self.recent = (self.recent + ended)[-RECENT:]
         return True
 
     def _on_rollout_start(self):
@@ -217,7 +213,7 @@ class _Progress(BaseCallback):
             raise KeyboardInterrupt
         if self.recent and now - self._last_row > 5.0:
             self._last_row = now
-            means = {name: float(np.mean([one[name] for one in self.recent])) for name in ("r", "l", *SCORES)}
+            means = means_of(self.recent)
             losses = {k: v for k, v in self.logger.name_to_value.items() if isinstance(v, int | float | np.number)}
             keeper.log({"steps": steps, "seconds": round(keeper.seconds, 1), **means}, losses)
             self._show(steps, means)
@@ -322,9 +318,9 @@ def train(
         check_tensorboard()
     if config.algo == "bc" and not is_done(config, path):
         # Refuses a wrong expert before anything is written.
-        _expert(config) if config.inputs == "scans" else _teacher(config)
+        _expert(config) if config.inputs == "scans" else teacher_of(config)
     if config.inputs in PUPILS and not is_done(config, path):
-        _check_pupil(config)
+        check_pupil(config)
     if config.start is not None and not is_done(config, path):
         started(config)
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
@@ -338,13 +334,13 @@ def _train(config, path, resume, show, seconds_between_checkpoints, held):
         return folder
     keeper = BestKeeper(config, folder)
     if isinstance(config.hyperparameters, RecurrentPpoConfig | RecurrentSacConfig):
-        return _train_recurrent(config, keeper, show, held)
+        return reinforce(config, keeper, show, held)
     imitates = isinstance(config.hyperparameters, BcConfig | DaggerConfig)
     model = None if imitates else _restored(keeper)
     if held is not None:
         keeper.board = held.enter_context(Board(folder, keeper.curve, model.num_timesteps if model else 0))
     if imitates:
-        return (_train_bc if config.inputs == "scans" else _train_pupil)(config, keeper, show)
+        return (_train_bc if config.inputs == "scans" else imitate)(config, keeper, show)
     resumed = model is not None
     if model is not None:
         show(model.num_timesteps, {})
@@ -437,109 +433,6 @@ def _expert(config):
         told = str(error).partition(";")[0]
         raise UsageError(f"{told}: BC needs an expert of its setting (in Python: BcConfig(expert=FILE)).") from None
     return expert
-
-
-def _drawn(config):
-    """A setting of the training's."""
-    if config.draw is None:
-        return config.setting
-    return load_draw(config.draw).setting(np.random.default_rng(config.seed), config.setting)
-
-
-def _teacher(config):
-    """The factory of a pupil's teacher. Raises UsageError where there is none of that name, or where it refuses a
-    setting of the training's."""
-    teacher = load_agent(config.hyperparameters.expert)
-    try:
-        check_settings(teacher, [_drawn(config)], common_track(teacher, INPUTS[config.inputs]))
-    except Unsuited as error:
-        raise UsageError(f"{str(error).partition(';')[0].rstrip('.')}.") from None
-    return teacher
-
-
-def _check_pupil(config):
-    """Raises UsageError where a pupil, or its shield, refuses a setting of the training's."""
-    kind: Any = INPUTS[config.inputs]
-    setting, told = Setting.of(_drawn(config), common_track(kind, kind)), f"A robot with --inputs {config.inputs}"
-    try:
-        sight = kind.sight(setting)
-        if getattr(config.hyperparameters, "shield", False):
-            told = "The shield"
-            Shield(SimpleNamespace(eyes=sight), setting)
-    except Unsuited as error:
-        raise UsageError(f"{told} {error}") from None
-
-
-def _train_pupil(config, keeper, show):
-    """Rounds of imitation, with a checkpoint after each."""
-    draw, kind = load_draw(config.draw) if config.draw else None, INPUTS[config.inputs]
-    settings = config.setting, draw, config.steps, config.hyperparameters, config.seed
-    training = Imitation(_teacher(config), kind, *settings, begun=started(config))
-    if saved := read_checkpoint(keeper.folder, Noted):
-        try:
-            keeper.restore(training.restore(*saved))
-        except ValueError as error:
-            raise damaged(keeper.folder / CHECKPOINT, error) from None
-    done = training.steps
-
-    def progress(more):
-        nonlocal done
-        done += more
-        if done // 1000 > (done - more) // 1000:
-            show(min(done, config.steps), {})
-
-    def told(update, loss):
-        keeper.log({"steps": min(done, config.steps), "seconds": round(keeper.seconds, 1), "loss": loss})
-        show(min(done, config.steps), {"update": update, "loss": loss})
-
-    while training.rounds < config.hyperparameters.rounds:
-        training.round(progress, told)
-        show(training.steps, keeper.validate(training.layers, "clip", training.steps), validation=True)
-        write_checkpoint(keeper.folder, *training.collect(keeper.state))
-        keeper.write(training.steps)
-    keeper.write(config.steps)
-    return keeper.folder
-
-
-def _train_recurrent(config, keeper, show, held):
-    """PPO, SAC and TAC with a memory, in legs, with a checkpoint after each."""
-    kind, chosen, seed = INPUTS[config.inputs], config.hyperparameters, 10_000_000 * (config.seed + 1)
-    begun, more = started(config), {}
-    learner: Any = RecurrentPpo
-    noted = NotedPpo
-    if isinstance(chosen, RecurrentSacConfig):
-        learner, noted = RecurrentSac, NotedSac
-        more = {"output": learned.load(config.start).output} if config.start else {}
-    draw = load_draw(config.draw) if config.draw else None
-    env = GuidedVecEnv(config.num_envs, seed, draw, config.setting, pupil=kind)
-    with contextlib.closing(env):
-        training: Any = learner(env, kind.eye, config.steps, chosen, config.seed, seed, begun, **more)
-        if saved := read_checkpoint(keeper.folder, noted):
-            try:
-                keeper.restore(training.restore(*saved))
-            except ValueError as error:
-                raise damaged(keeper.folder / CHECKPOINT, error) from None
-            show(training.steps, {})
-        if held is not None:
-            keeper.board = held.enter_context(Board(keeper.folder, keeper.curve, training.steps))
-        recent = []
-        while True:
-            steps = training.steps
-            if training.rests and steps:
-                write_checkpoint(keeper.folder, *training.collect(keeper.state))
-                validated = keeper.validations[-1]["steps"] if keeper.validations else 0
-                if steps > validated and (training.done or steps // config.validate_every > len(keeper.validations)):
-                    show(steps, keeper.validate(training.layers, training.output, steps), validation=True)
-                    write_checkpoint(keeper.folder, *training.collect(keeper.state))
-                    keeper.write(steps)
-            if training.done:
-                return keeper.folder
-            ended, figures = training.update()
-            recent = (recent + ended)[-_RECENT:]
-            if recent:
-                means = {name: float(np.mean([one[name] for one in recent])) for name in ("r", "l", *SCORES)}
-                keeper.log({"steps": training.steps, "seconds": round(keeper.seconds, 1), **means}, figures)
-                show(training.steps, means | figures)
 
 
 def _train_bc(config, keeper, show):

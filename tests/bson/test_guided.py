@@ -495,7 +495,7 @@ def test_a_depth_picture_keeps_the_nearest_pixel_of_each_block():
 
 @pytest.mark.parametrize("inputs", ["gru", "gru-map", "gru-scans"])
 def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path, monkeypatch):
-    from bson.learning import train as training
+    from bson.learning import dagger
     from bson.learning.dagger import DaggerConfig, Imitation, Noted
     from bson.learning.train import TrainConfig, train
     from macid.learning.curves import read_checkpoint
@@ -513,7 +513,7 @@ def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path,
         rounds.append(1)
         once(self, *arguments)
 
-    monkeypatch.setattr(training.Imitation, "round", stopped)
+    monkeypatch.setattr(Imitation, "round", stopped)
     with pytest.raises(KeyboardInterrupt):
         train(config, tmp_path / "parts")
     monkeypatch.undo()
