@@ -495,7 +495,6 @@ def test_a_depth_picture_keeps_the_nearest_pixel_of_each_block():
 
 @pytest.mark.parametrize("inputs", ["gru", "gru-map", "gru-scans"])
 def test_a_resumed_imitation_equals_an_uninterrupted_one(inputs, draw, tmp_path, monkeypatch):
-    from bson.learning import dagger
     from bson.learning.dagger import DaggerConfig, Imitation, Noted
     from bson.learning.train import TrainConfig, train
     from macid.learning.curves import read_checkpoint
