@@ -199,6 +199,8 @@ def _notes(groups, keys):
     for name, group in zip(labels(groups), groups, strict=True):
         if 1 < len(group.runs) < LEAST_SEEDS:
             notes.append(f"{name}: {len(group.runs)} training seeds: intervals over so few are too narrow.")
+        if len(agents := dict.fromkeys(run.agent for run in group.runs)) > 1:
+            notes.append(f"{name} takes these agents for trainings of one: {', '.join(agents)}.")
     if any(len(run.rows) > len(keys) for run in runs):
         had = ", ".join(f"{name} has {len(run.rows)}" for name, run in zip(names, runs, strict=True))
         notes.append(f"Only the {plural(len(keys), 'episode')} that all runs have are compared: {had}.")

@@ -359,6 +359,7 @@ def test_several_trainings_are_one_column_with_an_interval_over_them():
     difference = vfh["difference"]["SNS"]
     assert difference["mean"] == pytest.approx(15.0) and not difference["differs"]  # 2 in 16 draws have no bad training
     assert any("tac: 4 training seeds" in note for note in found["notes"])
+    assert any("these agents for trainings of one: tac-0, tac-1, tac-2, tac-3" in note for note in found["notes"])
     pair = found["improvement"][0]
     assert (pair["of"], pair["over"]) == (1, 0) and pair["SNS"]["paired"]["value"] == pytest.approx(0.75)
     assert pair["SNS"]["paired"]["ties"] == pytest.approx(0.5) and not pair["SNS"]["differs"]
