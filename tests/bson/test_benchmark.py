@@ -1,5 +1,6 @@
 """The commands as calls, and Results."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -128,7 +129,7 @@ print(*sorted(heavy & set(sys.modules)))
 
 def test_comparing_loads_neither_jax_nor_mujoco(evaluated, tmp_path):
     found, out = evaluated
-    found.save(tmp_path / "other.json")
+    dataclasses.replace(found, content=found.content | {"agent": "other"}).save(tmp_path / "other.json")
     ran = subprocess.run(
         [sys.executable, "-c", LIGHT, str(out), str(tmp_path / "other.json")],
         cwd=tmp_path,
