@@ -23,6 +23,7 @@ from bson.task import TaskConfig
 from macid import geometry
 from macid.state import GOAL_RADIUS
 
+_BACKLOG, _BACKLOG_LOOK = 20, 0.002  # messages that may be waiting, and how long to wait for one [s]
 STALE = 0.5  # age of the last scan or odometry, or two periods if that is more, at which the robot stops [s]
 TIMEOUT = 10.0  # without any message, at which the node ends [s]
 PATIENCE = 60.0  # until somebody publishes [s]
@@ -270,6 +271,11 @@ class AgentNode:
         self._standing = not np.any(command)
         self._publisher.publish(message)
 
+    def _silence(self):
+        """The topic that was heard longest ago, of those that are needed, and how long ago [s]."""
+        late = min((SCAN, *self._needed), key=lambda topic: self._heard[topic])
+        return late, time.monotonic() - self._heard[late]
+
     def stop(self) -> None:
         """Commands the robot to stand, by the last scan's stamp."""
         self._send(np.zeros(2), max(self._acted, 0))
@@ -284,8 +290,12 @@ class AgentNode:
         try:
             while True:
                 self._wire.spin(_LOOK)
-                late = min((SCAN, *self._needed), key=lambda topic: self._heard[topic])
-                silent = time.monotonic() - self._heard[late]
+                late, silent = self._silence()
+                for _ in range(_BACKLOG):  # what came while this process was held up is there, and is taken first
+                    if silent <= most:
+                        break
+                    self._wire.spin(_BACKLOG_LOOK)
+                    late, silent = self._silence()
                 # A world may take long for its first step.
                 patience = self._timeout if self._intervals else max(PATIENCE, self._timeout)
                 if silent > most and not self._standing:

@@ -27,6 +27,7 @@ STALE = 0.5  # in real time, the age from which a command is no longer obeyed [s
 _REPEAT = 1.0  # the state is told again to somebody who came late [s]
 _SETTLED = 0.3  # who commands and listens is known once nobody has come or gone for so long [s]
 _HEARD = 1.0  # until listeners have acknowledged what they were told [s]
+_WAITING, _MOST_WAITING = 0.002, 100  # within which a command that was on its way comes [s]; how many may have come
 _LAST = 0.5  # until the answer to an episode's last state, where answers have no stamps [s]
 _LOOK = 0.02  # between two looks at the clock while waiting [s]
 _GAP = 1.0  # of simulated time between two episodes: the clock never runs backwards [s]
@@ -117,7 +118,8 @@ class WorldNode:
                     ros.kind_of(topic.kind), name, ros.quality(topic)
                 )
         self._since = self._now = self._reporter.now
-        self._command, self._answered = None, False
+        self._forget()
+        self._answered = False
         self._period = world.config.control_period
         self._due = time.monotonic() + self._period
         self._introduced = False
@@ -127,9 +129,20 @@ class WorldNode:
         """Tells the state after a control step."""
         assert self._reporter is not None
         self._now = self._reporter.now
-        self._command = None if self._lockstep else self._command
+        if self._lockstep:
+            self._forget()
         self._next = self._now / 1e9 + _GAP
         self._tell(self._reporter.step())
+
+    def _forget(self):
+        """Forgets what came before the state that is told next. In lockstep without stamps it may still be on its way:
+        an agent that had to wait for long commands the robot to stand, which is no answer to this state."""
+        self._command = None
+        for _ in range(_MOST_WAITING if self._lockstep and not self._stamped else 0):
+            self._wire.spin(_WAITING)
+            if self._command is None:
+                return
+            self._command = None
 
     def _tell(self, said):
         self._told, there = time.monotonic(), self._others()

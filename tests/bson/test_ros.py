@@ -217,6 +217,23 @@ def test_in_lockstep_commands_without_stamps_answer_the_state_that_they_were_giv
     assert found.rows == wanted.rows
 
 
+@pytest.mark.parametrize("slow", ["reset", "step"])
+def test_a_stop_of_an_agent_that_waits_for_a_slow_world_is_no_answer_to_its_next_state(slow, monkeypatch):
+    config, once, calls = {**SETS, "horizon": 4}, getattr(Session, slow), []
+    wanted = benchmark.evaluate("goal", "smoke", episodes=2, overrides=config, quiet=True)
+
+    def slowly(self, *arguments, **more):
+        calls.append(1)
+        if len(calls) in (2, 3):
+            time.sleep(2 * ros_agent.STALE)
+        return once(self, *arguments, **more)
+
+    monkeypatch.setattr(Session, slow, slowly)
+    with deployed("goal", stamped=False):
+        found = benchmark.evaluate("ros", "smoke", episodes=2, overrides=config, stamped=False, quiet=True)
+    assert found.rows == wanted.rows
+
+
 def test_in_real_time_an_evaluation_takes_the_time_that_it_takes():
     config, begun = {**SETS, "horizon": 10}, time.monotonic()
     with deployed("goal"):
