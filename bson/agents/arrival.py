@@ -25,7 +25,8 @@ def well_in(action: np.ndarray, goal: np.ndarray, speed: float, setting: Setting
     than the circle's radius is to end in its middle.
     """
     period, wanted = setting.control_period, float(action[0]) * float(setting.top[0])
-    outside = math.hypot(*goal) - max(GOAL_RADIUS + _SLACK, wanted * period)
+    distance = math.hypot(*goal)
+    outside = min(distance - GOAL_RADIUS - _SLACK, distance - wanted * period)
     if wanted <= 0.0 or outside <= 0.0 or abs(math.atan2(goal[1], goal[0])) > _STRAIGHT:
         return action
     steps = math.ceil(outside / (wanted * period) - _OVER)
