@@ -37,7 +37,7 @@ from bson.agents.global_view import GlobalView, Standing
 from bson.agents.rollout import RolloutConfig, gaps, going_on, robot_row, rollout
 from bson.planners import Grid
 from bson.planners.way_field import rate_by_clearance, way_field
-from macid.geometry import rotate, wrap_angle
+from macid.geometry import to_body, wrap_angle
 from macid.state import FAR_AWAY, GOAL_RADIUS
 
 
@@ -188,7 +188,7 @@ class Controller:
         self._plan = (1 - share) * plan + share * np.concatenate([plan[1:], plan[-1:]])
         self.planned = way + pose[:2]
         action = np.clip(plan[0].astype(float) / self._top, -1.0, 1.0)
-        return well_in(action, rotate(self._goal - pose[:2], -pose[2]), float(velocity[0]), self._setting)
+        return well_in(action, to_body(self._goal - pose[:2], pose[2]), float(velocity[0]), self._setting)
 
 
 def _lookup(world, x, y):

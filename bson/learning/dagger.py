@@ -97,6 +97,11 @@ def common_track(teacher: Any, pupil: type[Pupil]) -> LocalTrack:
     return make_track(kind, tuple(sensors.values()))
 
 
+def guard_of(sight: Any, setting: Setting) -> Shield:
+    """The shield before a pupil with this `sight`, for its `guard` alone."""
+    return Shield(SimpleNamespace(eyes=sight), setting)
+
+
 def _episodes(session, teacher, pupil, network, rng, config, into, progress):
     """One episode in each world; returns the number of control steps."""
     setting = Setting.of(session.config, session.track)
@@ -107,7 +112,7 @@ def _episodes(session, teacher, pupil, network, rng, config, into, progress):
     for one, seed in zip(teachers, seeds, strict=True):
         reset_agent(one, seed)
     sights = [pupil.sight(setting) for _ in everyone]
-    shields = [Shield(SimpleNamespace(eyes=sight), setting) for sight in sights] if config.shield else None
+    shields = [guard_of(sight, setting) for sight in sights] if config.shield else None
     state = np.zeros((session.nworld, UNITS), np.float32)
     pushed = (np.arange(session.nworld) % 2 == 0)[:, None] * config.noise
     push = np.zeros((session.nworld, 2))

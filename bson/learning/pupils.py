@@ -6,7 +6,6 @@ config: a bson.learning.train.TrainConfig with the inputs of a recurrent robot.
 import contextlib
 import pathlib
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,7 @@ import numpy as np
 from bson.agents import learned, load_agent
 from bson.agents.contract import Setting, Unsuited, check_settings
 from bson.agents.learned import KINDS
-from bson.agents.shield import Shield
-from bson.learning.dagger import Imitation, Noted, common_track
+from bson.learning.dagger import DaggerConfig, Imitation, Noted, common_track, guard_of
 from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.keeper import RECENT, BestKeeper, means_of, started
@@ -27,35 +25,25 @@ from macid.files import UsageError
 from macid.learning.curves import CHECKPOINT, Board, damaged, read_checkpoint, write_checkpoint
 
 
-def _drawn(config):
-    """A setting of the training's."""
-    if config.draw is None:
-        return config.setting
-    return load_draw(config.draw).setting(np.random.default_rng(config.seed), config.setting)
-
-
-def teacher_of(config: Any) -> Any:
-    """The factory of a pupil's teacher. Raises UsageError where there is none of that name, or where it refuses a
-    setting of the training's."""
-    teacher = load_agent(config.hyperparameters.expert)
-    try:
-        check_settings(teacher, [_drawn(config)], common_track(teacher, KINDS[config.inputs]))
-    except Unsuited as error:
-        raise UsageError(f"{str(error).partition(';')[0].rstrip('.')}.") from None
-    return teacher
-
-
 def check_pupil(config: Any) -> None:
-    """Raises UsageError where a pupil, or its shield, refuses a setting of the training's."""
-    kind: Any = KINDS[config.inputs]
-    setting, told = Setting.of(_drawn(config), common_track(kind, kind)), f"A robot with --inputs {config.inputs}"
+    """Raises UsageError where there is no such teacher, or where the teacher, the pupil or its shield refuses a setting
+    of the training."""
+    kind, chosen, its = KINDS[config.inputs], config.hyperparameters, config.setting
+    if config.draw is not None:
+        its = load_draw(config.draw).setting(np.random.default_rng(config.seed), its)
+    told = ""
     try:
+        if isinstance(chosen, DaggerConfig):
+            teacher = load_agent(chosen.expert)
+            check_settings(teacher, [its], common_track(teacher, kind))
+        told = f"A robot with --inputs {config.inputs} "
+        setting = Setting.of(its, common_track(kind, kind))
         sight = kind.sight(setting)
-        if getattr(config.hyperparameters, "shield", False):
-            told = "The shield"
-            Shield(SimpleNamespace(eyes=sight), setting)
+        if isinstance(chosen, DaggerConfig) and chosen.shield:
+            told = "The shield "
+            guard_of(sight, setting)
     except Unsuited as error:
-        raise UsageError(f"{told} {error}") from None
+        raise UsageError(f"{told}{str(error).partition(';')[0].rstrip('.')}.") from None
 
 
 def imitate(config: Any, keeper: BestKeeper, show: Callable) -> pathlib.Path:
@@ -63,7 +51,7 @@ def imitate(config: Any, keeper: BestKeeper, show: Callable) -> pathlib.Path:
     bson.learning.train.train."""
     draw, kind = load_draw(config.draw) if config.draw else None, KINDS[config.inputs]
     settings = config.setting, draw, config.steps, config.hyperparameters, config.seed
-    training = Imitation(teacher_of(config), kind, *settings, begun=started(config))
+    training = Imitation(load_agent(config.hyperparameters.expert), kind, *settings, begun=started(config))
     if saved := read_checkpoint(keeper.folder, Noted):
         try:
             keeper.restore(training.restore(*saved))

@@ -25,7 +25,7 @@ from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.keeper import RECENT, BestKeeper, means_of, noted_config, started
-from bson.learning.pupils import check_pupil, imitate, reinforce, teacher_of
+from bson.learning.pupils import check_pupil, imitate, reinforce
 from bson.learning.recurrent_ppo import RecurrentPpoConfig
 from bson.learning.recurrent_sac import RecurrentSacConfig
 from bson.learning.vec_env import FeatureVecEnv
@@ -316,13 +316,13 @@ def train(
     path = pathlib.Path(out) / f"{config.name}-{config.seed}"
     if tensorboard:
         check_tensorboard()
-    if config.algo == "bc" and not is_done(config, path):
-        # Refuses a wrong expert before anything is written.
-        _expert(config) if config.inputs == "scans" else teacher_of(config)
-    if config.inputs in PUPILS and not is_done(config, path):
-        check_pupil(config)
-    if config.start is not None and not is_done(config, path):
-        started(config)
+    if not is_done(config, path):  # what does not fit is refused before anything is written
+        if config.inputs in PUPILS:
+            check_pupil(config)
+        elif config.algo == "bc":
+            _expert(config)
+        if config.start is not None:
+            started(config)
     with lock_folder(path, FILES, alone=("config.json",)), contextlib.ExitStack() as held:
         return _train(config, path, resume, show, seconds_between_checkpoints, held if tensorboard else None)
 

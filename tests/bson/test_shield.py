@@ -152,29 +152,19 @@ def test_the_same_seed_gives_the_same_actions_and_an_episode_forgets_the_last_on
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-class Gives:
-    """A policy that gives what it was made with."""
-
-    def __init__(self, action):
-        self.action = action
-
-    def __call__(self, observation):
-        return self.action
-
-
 def test_it_takes_what_any_agent_may_give_and_refuses_what_none_may():
     view = observe(np.zeros(3), NOBODY, NOTHING, np.zeros(2))
     tensor = torch.tensor([0.5, 0.25], requires_grad=True)
     for given in (tensor, list(tensor), (0.5, 0.25), np.array([0.5, 0.25], np.float16)):
-        assert np.array_equal(Shield(Gives(given), Setting.default())(view), [0.5, 0.25])
+        assert np.array_equal(Shield(lambda _, given=given: given, Setting.default())(view), [0.5, 0.25])
     for given in (None, [np.nan, 0.0], [0.1, 0.2, 0.3], [[0.5, 0.25]], "ab", [1j, 0.0]):
         with pytest.raises(AgentError, match="^Agent 'agent' returned"):
-            Shield(Gives(given), Setting.default())(view)
+            Shield(lambda _, given=given: given, Setting.default())(view)
 
 
 def test_a_wish_beyond_the_limits_is_the_limit():
     near = observe(np.array([GOAL[0] - 1.0, 0.0, 0.0]), NOBODY, NOTHING, [2.0, 0.0])
-    most, more = (Shield(Gives([speed, 0.0]), Setting.default())(near) for speed in (1.0, 3.0))
+    most, more = (Shield(Always(speed, 0.0), Setting.default())(near) for speed in (1.0, 3.0))
     assert np.array_equal(most, more) and most[0] < 1.0  # the last step leads deep into the goal's circle
 
 
