@@ -116,7 +116,8 @@ def measure_learning(
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from bson.learning.train import ALGORITHMS, one_thread
+    from bson.learning.presets import ALGORITHMS
+    from bson.learning.train import one_thread
     from bson.learning.vec_env import FeatureVecEnv
 
     class Timer(BaseCallback):

@@ -16,7 +16,7 @@ KINDS = {
     "suites": ("bson.evaluation.suites:SUITES", "--suite NAME"),
     "metrics": ("bson.evaluation.metrics:METRIC_KIND", "--metric NAME"),
     "planners": ("bson.planners.planning:KIND", "bson.planners.plan(NAME, ...)"),
-    "algorithms": ("bson.learning.train:KIND", "bson train --algo NAME"),
+    "algorithms": ("bson.learning.presets:KIND", "bson train --algo NAME"),
     "methods": ("macid.learning.methods:KIND", "macid train --method NAME"),
 }
 

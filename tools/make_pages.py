@@ -363,7 +363,7 @@ def agent_card(name):
     recipe = json.loads((AGENTS / f"{name}.json").read_text())
     scores = recipe["scores"]
     lines = [
-        made_by(name, recipe),
+        made_by(recipe),
         "",
         tables.text_row(f"suite `{scores['suite']}`", SCORES),
         "|---" * (1 + len(SCORES)) + "|",

@@ -32,7 +32,8 @@ from bson.evaluation.play import run_episodes
 from bson.evaluation.store import basis
 from bson.evaluation.suites import load_suite
 from bson.learning.algorithms import on_device
-from bson.learning.train import ALGORITHMS, PRESETS, TrainConfig, is_done, train_apart, train_with_bar
+from bson.learning.presets import ALGORITHMS, PRESETS
+from bson.learning.train import TrainConfig, is_done, train_apart, train_with_bar
 from macid import command
 from macid.command import MOST_SEED, MOST_SEEDS, MOST_STEPS, Parser, add_executor, check_words
 from macid.evaluate import lcf_bins

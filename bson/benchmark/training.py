@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import pathlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from macid.executors import Executor, make_executor
@@ -30,6 +30,9 @@ def train(
     steps: int = 1_000_000,
     worlds: int = 16,
     preset: str = "fast",
+    hyperparameters: Mapping[str, Any] | None = None,
+    validate_every: int = 100_000,
+    validate_episodes: int = 64,
     overrides: dict[str, Any] | None = None,
     demonstrations: str | None = None,
     inputs: str = "scans",
@@ -46,21 +49,26 @@ def train(
     """Trains robots, as `bson train` does; returns the folders `out`/NAME-SEED of the seeds `seed` to `seed` + `seeds`
     - 1.
 
-    algo: a name of bson.learning.train.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS. steps:
-    control steps of all worlds together. worlds: how many are stepped at once. overrides: fields of TaskConfig that are
-    changed. demonstrations: of bc, what to learn from in place of an expert: a Minari dataset, its id or its folder, or
-    the folder `out` of `live`, with what people drove. inputs: what the robot sees, a name of
-    bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of bson.learning.draw.draw_names() or a
-    .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates; shield: whether that robot drives
-    behind bson.agents.shield.Shield as it learns; start: of a recurrent robot, the policy from which it goes on, a
-    shipped one or a .npz file. resume: goes on from checkpoints. executor, ray_address, workers: see
-    macid.executors.make_executor; an executor with several workers trains the seeds side by side. Raises UsageError,
-    also where the extra `agents` is missing.
+    algo: a name of bson.learning.presets.ALGORITHMS, or the user's own `file.py:class`; preset: a name of PRESETS.
+    steps: control steps of all worlds together. worlds: how many are stepped at once. hyperparameters: fields of the
+    algorithm's configuration that are changed, as {"learning_rate": 3e-4}; validate_every: steps between two
+    validations (imitation has one after each round); validate_episodes: by which the policy that is kept is chosen.
+    overrides: fields of TaskConfig that are changed. demonstrations: of bc, what to learn from in place of an expert: a
+    Minari dataset, its id or its folder, or the folder `out` of `live`, with what people drove. inputs: what the robot
+    sees, a name of bson.agents.learned.KINDS; draw: settings drawn for the episodes, a name of
+    bson.learning.draw.draw_names() or a .toml file; teacher: of bc with a recurrent robot, the agent whom it imitates;
+    shield: whether that robot drives behind bson.agents.shield.Shield as it learns; start: of a recurrent robot, the
+    policy from which it goes on, a shipped one or a .npz file. resume: goes on from checkpoints. executor, ray_address,
+    workers: see macid.executors.make_executor; an executor with several workers trains the seeds side by side. Raises
+    UsageError, also where the extra `agents` is missing.
     """
     with agents_extra():
-        from bson.learning.train import SHIELDED, TrainConfig, hyperparameters
+        from bson.learning.hyperparameters import changed
+        from bson.learning.presets import SHIELDED
+        from bson.learning.presets import hyperparameters as usual
+        from bson.learning.train import TrainConfig
 
-    chosen = hyperparameters(algo, preset, inputs, start)
+    chosen = usual(algo, preset, inputs, start)
     if demonstrations is not None:
         from bson.learning.dataset import check_demonstrations
         from bson.task import TaskConfig
@@ -70,7 +78,7 @@ def train(
         if executor != "local":
             raise UsageError("--demonstrations are read in this process: leave --executor out.")
         check_demonstrations(demonstrations, TaskConfig().replace(**overrides or {}))
-        chosen = dataclasses.replace(hyperparameters(algo, preset), demonstrations=demonstrations)
+        chosen = dataclasses.replace(usual(algo, preset), demonstrations=demonstrations)
     if teacher is not None:
         from bson.agents import load_agent
 
@@ -85,7 +93,9 @@ def train(
             raise UsageError(f"--shield is of bc with --inputs {' or '.join(SHIELDED)}, {told}.")
         if hasattr(chosen, "shield"):  # a TrainConfig refuses the others
             chosen = dataclasses.replace(chosen, shield=True)
-    more = {"hyperparameters": chosen, "inputs": inputs, "draw": draw, "start": start}
+    chosen = changed(chosen, hyperparameters or {})
+    more: dict[str, Any] = {"validate_every": validate_every, "validate_episodes": validate_episodes}
+    more |= {"hyperparameters": chosen, "inputs": inputs, "draw": draw, "start": start}
     configs = [TrainConfig(algo, one, int(steps), overrides or {}, worlds, **more) for one in range(seed, seed + seeds)]
     return train_configs(configs, out, resume, tensorboard, executor, ray_address, workers)
 

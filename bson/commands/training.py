@@ -17,6 +17,7 @@ def _train(args):
     if engine_name(args.engine) == "warp":
         return _train_warp(args, limits)
     from bson import benchmark
+    from bson.learning.hyperparameters import read_changes
 
     folders = benchmark.train(
         args.algo,
@@ -26,6 +27,8 @@ def _train(args):
         steps=int(args.steps),
         worlds=args.worlds or 16,
         preset=args.preset,
+        hyperparameters=read_changes(args.hyperparameter),
+        **_validation(args),
         overrides=overrides(args),
         demonstrations=args.demonstrations,
         inputs=args.inputs,
@@ -45,6 +48,12 @@ def _train(args):
     return 0
 
 
+def _validation(args):
+    """What the flags say of validation, where they say it."""
+    chosen = {"validate_every": args.validate_every, "validate_episodes": args.validate_episodes}
+    return {name: int(value) for name, value in chosen.items() if value is not None}
+
+
 def _train_warp(args, limits):
     if args.demonstrations is not None:
         raise UsageError("--demonstrations are what bc learns from, and --engine warp has no bc: leave them out.")
@@ -59,10 +68,12 @@ def _train_warp(args, limits):
     make_executor(args.executor, args.ray_address, args.workers)  # refuses flags that are for others
     from tqdm import tqdm
 
-    from bson.learning.device_ppo import STARTED, DeviceTrainConfig, train
+    from bson.learning.device_ppo import STARTED, DevicePpoConfig, DeviceTrainConfig, train
+    from bson.learning.hyperparameters import changed, read_changes
 
-    more = {} if args.worlds is None else {"num_envs": args.worlds}
-    more |= {} if args.start is None else {"hyperparameters": STARTED}
+    more: dict[str, Any] = _validation(args) | ({} if args.worlds is None else {"num_envs": args.worlds})
+    usual = DevicePpoConfig() if args.start is None else STARTED
+    more["hyperparameters"] = changed(usual, read_changes(args.hyperparameter))
     more |= {"algo": args.algo, "inputs": args.inputs, "draw": args.draw, "start": args.start}
     config = DeviceTrainConfig(args.seed, int(args.steps), overrides(args), **more)
     start.cleaning_up()
@@ -102,6 +113,29 @@ def add_commands(commands: Any, defaults: dict[str, Any]) -> None:
     )
     train.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="hyperparameters; paper: as far as it gives them"
+    )
+    train.add_argument(
+        "--hyperparameter",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one of the algorithm, e.g. learning_rate=3e-4; an unknown one lists them; may be repeated",
+    )
+    train.number(
+        "--validate-every",
+        float,
+        1.0,
+        MOST_STEPS,
+        default=None,
+        help="steps between two validations; imitation has one each round (default: 100e3; with --engine warp 2e6)",
+    )
+    train.number(
+        "--validate-episodes",
+        int,
+        1,
+        100_000,
+        default=None,
+        help="by which the policy that is kept is chosen (default: 64)",
     )
     add_task(train)
     train.add_argument("--out", type=name, default="runs", help="folder; each training gets one in it")

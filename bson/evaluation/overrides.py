@@ -2,7 +2,7 @@
 
 import ast
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from bson.task import TaskConfig
@@ -15,31 +15,43 @@ def read_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     UsageError."""
     fields = [field.name for field in dataclasses.fields(TaskConfig)]
     changes = {}
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals:
-            raise UsageError(f"--set takes KEY=VALUE, not {shown(pair)}.")
+    for key, text in split_pairs("--set", pairs):
         if key not in fields:
             raise UsageError(f"Unknown option {shown(key)}. Choose among {', '.join(fields)}.")
-        changes[key] = _literal(key, text)
-
-    def tell(key, problem):
-        raise UsageError(f"--set {key}: {problem}.")
-
-    check_values(changes, tell)
+        changes[key] = literal("--set", key, text)
     return changes
 
 
-def _literal(key, text):
-    """`text` as a Python literal, if it is one that JSON can hold; otherwise the text itself. Raises UsageError."""
+def split_pairs(flag: str, pairs: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """(KEY, VALUE) of each of the words `KEY=VALUE` of `flag`. Raises UsageError."""
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise UsageError(f"{flag} takes KEY=VALUE, not {shown(pair)}.")
+        yield key, text
+
+
+def literal(flag: str, key: str, text: str) -> Any:
+    """The value `text` of `key` as a Python literal, if it is one that JSON can hold; otherwise the text itself. Raises
+    UsageError."""
+    value = _read(flag, key, text)
+
+    def tell(key, problem):
+        raise UsageError(f"{flag} {key}: {problem}.")
+
+    check_values({key: value}, tell)
+    return value
+
+
+def _read(flag, key, text):
     try:
         value = ast.literal_eval(text)
     except (ValueError, SyntaxError):
         return text
     except (RecursionError, MemoryError):
-        raise UsageError(f"--set {key}: the value is nested too deeply: {shown(text)}.") from None
+        raise UsageError(f"{flag} {key}: the value is nested too deeply: {shown(text)}.") from None
     except TypeError as error:  # such as a list for a dict's key
-        raise UsageError(f"--set {key}: {shown(text)} is no value ({error}).") from None
+        raise UsageError(f"{flag} {key}: {shown(text)} is no value ({error}).") from None
     waiting = [value]
     while waiting:
         one = waiting.pop()
@@ -48,5 +60,10 @@ def _literal(key, text):
         elif isinstance(one, list | tuple):
             waiting += one
         elif not isinstance(one, None | bool | int | float | str):
-            raise UsageError(f"--set {key} takes numbers, texts, lists and dicts, not {shown(one)}.")
+            raise UsageError(f"{flag} {key} takes numbers, texts, lists and dicts, not {shown(one)}.")
     return value
+
+
+def as_word(value: Any) -> str:
+    """The text that `literal` reads as `value`, but that lists and tuples are one to it."""
+    return value if isinstance(value, str) and _read("", "", value) == value else repr(value)

@@ -18,6 +18,7 @@ from stable_baselines3 import PPO, SAC
 
 from bson import guided
 from bson.learning.attention import PeopleAttention
+from bson.learning.hyperparameters import check
 from bson.learning.tsallis import TsallisPolicy
 from macid.files import UsageError
 
@@ -57,6 +58,9 @@ class PpoConfig:
     epochs: int = 6
     log_std: float = -0.7  # initial
 
+    def __post_init__(self):
+        check(self, batch=2)  # advantages are normalised in a minibatch
+
     def build(self, env: Any, seed: int) -> Any:
         """The stable-baselines3 model that learns in `env`."""
         first, last = self.learning_rate, self.final_learning_rate
@@ -95,6 +99,9 @@ class SacConfig:
     steps_per_update: int = 16  # 16: one update per control step of 16 worlds
     q: float = 1.0  # entropic index
     joint: bool = False  # True: ln_q of the action's density; False: the sum of ln_q of each dimension's density
+
+    def __post_init__(self):
+        check(self)
 
     def build(self, env: Any, seed: int) -> Any:
         """The stable-baselines3 model that learns in `env`."""

@@ -24,6 +24,7 @@ from bson.agents.shield import Shield
 from bson.episodes.session import Session
 from bson.episodes.tracks import LocalTrack, make_track
 from bson.learning.draw import Draw, training_seed
+from bson.learning.hyperparameters import check
 from bson.learning.keeper import Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.learning.recurrent_network import Network
 from bson.recurrent import PICTURE, UNITS
@@ -45,6 +46,9 @@ class DaggerConfig:
     piece: int = 64  # control steps of an episode through which gradients go back
     updates: int = 1500  # of each round
     shield: bool = False  # whether the pupil drives behind bson.agents.shield.Shield, in validation too
+
+    def __post_init__(self):
+        check(self)
 
 
 @dataclasses.dataclass

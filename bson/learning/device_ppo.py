@@ -26,6 +26,7 @@ from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.learning import pieces
 from bson.learning.draw import EachEpisode, load_draw
+from bson.learning.hyperparameters import check, command_line, differing, given
 from bson.learning.keeper import BestKeeper, Keeper, collect_keeper, restore_keeper, started, wanted_keeper
 from bson.learning.pieces import Gru, Learner, Mlp
 from bson.simulation.engines.warp import WarpConfig, check_warp
@@ -70,6 +71,7 @@ class DevicePpoConfig:
     warmup: int = 0  # updates in which the value alone learns, to begin with
 
     def __post_init__(self):
+        check(self)
         if self.rollout % self.piece and self.piece % self.rollout:
             raise ValueError(f"rollout must be a multiple of piece ({self.piece}), not {self.rollout}.")
 
@@ -127,6 +129,15 @@ class DeviceTrainConfig:
         parts += [pathlib.Path(self.draw).stem] if self.draw else []
         parts += [f"from-{pathlib.Path(self.start).stem}"] if self.start else []
         return "-".join([*parts, *([pathlib.Path(model).stem] if isinstance(model, str) else [])])
+
+    @property
+    def command(self) -> str:
+        """The `bson train` that trains so."""
+        usual = {"seed": None, "steps": 1_000_000, "worlds": 1024, "inputs": "scans", "draw": None, "start": None}
+        usual |= {"validate-every": 2_000_000, "validate-episodes": 64}
+        flags = {"algo": self.algo, "engine": self.engine, **given(self, usual)}
+        changes = differing(self.hyperparameters, STARTED if self.start else DevicePpoConfig())
+        return command_line(flags, {"set": self.task, "hyperparameter": changes})
 
     @property
     def updates(self) -> int:

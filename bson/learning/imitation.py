@@ -16,6 +16,7 @@ from bson.episodes.tracks import LocalTrack
 from bson.evaluation.metrics import sns
 from bson.features import FEATURES, Features
 from bson.learning.algorithms import DEVICE, linear_layers
+from bson.learning.hyperparameters import check
 from bson.task import TaskConfig
 
 
@@ -31,6 +32,9 @@ class BcConfig:
     batch: int = 256
     epochs: int = 20
     demonstrations: str | None = None  # a Minari dataset in place of the expert: its id or folder
+
+    def __post_init__(self):
+        check(self)
 
 
 def demonstrate(

@@ -153,6 +153,7 @@ class BestKeeper:
         kind = KINDS[self.config.inputs]
         recipe = {
             "name": self.config.name,
+            "command": self.config.command,
             **noted_config(self.config),
             "steps_done": steps,
             "seconds": round(self.seconds, 1),

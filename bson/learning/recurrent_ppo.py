@@ -18,6 +18,7 @@ import numpy as np
 
 from bson import recurrent
 from bson.learning import pieces
+from bson.learning.hyperparameters import check
 from bson.learning.keeper import Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.learning.legs import Legs
 from bson.learning.pieces import Gru, Learner
@@ -44,9 +45,7 @@ class RecurrentPpoConfig:
     leg: int = 8  # updates after which the worlds begin anew, and a checkpoint is written
 
     def __post_init__(self):
-        for name in ("rollout", "piece", "batch", "epochs", "leg"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
+        check(self)
         if self.rollout % self.piece:
             raise ValueError(f"rollout must be a multiple of piece ({self.piece}), not {self.rollout}.")
 

@@ -27,6 +27,7 @@ import numpy as np
 import torch
 
 from bson import recurrent
+from bson.learning.hyperparameters import check
 from bson.learning.keeper import Count, Keeper, collect_keeper, restore_keeper, wanted_keeper
 from bson.learning.legs import Legs
 from bson.learning.recurrent_network import Encoder, Network
@@ -67,18 +68,11 @@ class RecurrentSacConfig:
     leg: int = 8  # updates after which the worlds begin anew, and a checkpoint is written
 
     def __post_init__(self):
-        for name in ("batch", "piece", "rollout", "steps_per_update", "leg"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}.")
+        check(self)
         if not 0 <= self.burn <= self.piece:
             raise ValueError(f"burn must be from 0 to piece ({self.piece}), not {self.burn}.")
         if self.buffer < self.piece:
             raise ValueError(f"buffer must be at least piece ({self.piece}), not {self.buffer}.")
-        if not self.q >= 1:
-            raise ValueError(f"q must be at least 1, not {self.q}.")
-        for name in ("alpha", "learning_rate", "actor_learning_rate"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, not {getattr(self, name)}.")
 
     @property
     def target(self) -> float:

@@ -58,24 +58,21 @@ def card_of(run: Results) -> Card | None:
 def _trained(agent: str) -> str | None:
     """How a shipped policy was trained; None for any other agent."""
     path = assets.root() / "agents" / f"{agent}.json"
-    return made_by(agent, json.loads(path.read_text())) if path.is_file() else None
+    return made_by(json.loads(path.read_text())) if path.is_file() else None
 
 
-def made_by(agent: str, recipe: dict[str, Any]) -> str:
-    """How a policy of the name `agent` was made, in words, from its recipe."""
-    tuned, flags = recipe["hyperparameters"], [f"--algo {recipe['algo']}"]
-    flags += ["--preset paper"] if agent.endswith("-paper") else []
-    flags += [f"--{key} {recipe[key]}" for key in ("inputs", "draw") if key in recipe]
+def made_by(recipe: dict[str, Any]) -> str:
+    """How a policy was made, in words, from its recipe."""
+    tuned = recipe["hyperparameters"]
     where = f"among 24 people of `{recipe['task'].get('pedestrian_model', 'macid')}`"
     if "draw" in recipe:
         where = f"in settings of the draw `{recipe['draw']}`"
     if "rounds" in tuned:  # imitation
-        flags.append(f"--teacher {tuned['expert']}")
         network = f"a recurrent network of {UNITS} units"
     else:
         network = f"networks of ({', '.join(map(str, tuned['hidden']))})"
     return (
-        f"Made by `bson train {' '.join(flags)} --seed {recipe['seed']}`: {recipe['steps_done']:,} "
+        f"Made by `{recipe['command']}`: {recipe['steps_done']:,} "
         f"control steps of 0.1 s {where}; {network}. "
         f"Kept is the policy of step {recipe['from_steps']:,}, the best in {recipe['validate_episodes']} validation "
         f"episodes (SNS {recipe['validation']['SNS']:.1f})."

@@ -62,7 +62,7 @@ def test_pedestrians():
 
 def test_robots():
     pytest.importorskip("stable_baselines3")
-    from bson.learning.train import PRESETS
+    from bson.learning.presets import PRESETS
 
     table, paper, fast = rows("bson"), PRESETS["paper"], PRESETS["fast"]
 

@@ -564,7 +564,8 @@ def test_what_does_not_fit_is_refused(arguments, told):
 def test_bc_has_a_configuration_of_its_own_for_robots_with_a_memory(inputs, tmp_path):
     from bson import benchmark
     from bson.learning.dagger import DaggerConfig
-    from bson.learning.train import TrainConfig, hyperparameters
+    from bson.learning.presets import hyperparameters
+    from bson.learning.train import TrainConfig
 
     assert hyperparameters("bc", inputs=inputs) == DaggerConfig() == TrainConfig("bc", inputs=inputs).hyperparameters
     for more in ({}, {"teacher": "goal"}):  # the paper has no such robot

@@ -20,11 +20,12 @@ from macid.policy import write_network
 torch = pytest.importorskip("torch")
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 train_module = pytest.importorskip("bson.learning.train")
+presets = pytest.importorskip("bson.learning.presets")
 algorithms = pytest.importorskip("bson.learning.algorithms")
 imitation = pytest.importorskip("bson.learning.imitation")
 PpoConfig, SacConfig, export = algorithms.PpoConfig, algorithms.SacConfig, algorithms.export
 BcConfig, clone, select = imitation.BcConfig, imitation.clone, imitation.select
-PRESETS, TrainConfig = train_module.PRESETS, train_module.TrainConfig
+PRESETS, TrainConfig = presets.PRESETS, train_module.TrainConfig
 one_thread, train = train_module.one_thread, train_module.train
 log_q = pytest.importorskip("bson.learning.tsallis").log_q
 FeatureVecEnv = pytest.importorskip("bson.learning.vec_env").FeatureVecEnv

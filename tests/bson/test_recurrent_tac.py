@@ -465,9 +465,6 @@ def test_the_targets_follow_the_critics(tmp_path):
     [
         ("burn", 40, r"burn must be from 0 to piece \(32\), not 40"),
         ("buffer", 5, r"buffer must be at least piece \(32\), not 5"),
-        ("q", 0.5, "q must be at least 1, not 0.5"),
-        ("leg", 0, "leg must be at least 1, not 0"),
-        ("alpha", 0.0, "alpha must be above 0, not 0.0"),
     ],
 )
 def test_hyperparameters_that_are_none_are_refused(field, value, told):

@@ -14,7 +14,7 @@ pytest.importorskip("stable_baselines3")
 from bson.agents import learned
 from bson.evaluation.suites import load_suite
 from bson.features import FEATURES
-from bson.learning.train import PRESETS
+from bson.learning.presets import PRESETS
 from macid.learning.curves import plain
 from macid.policy import write_network
 
