@@ -30,13 +30,19 @@ def rounded(values):
     return {name: round(value, DIGITS if name == "SNS" else DIGITS + 1) for name, value in values.items()}
 
 
-def standing(run, suite):
-    """What the Results `run` tell of an agent on a suite: its SNS with the interval, and that of each cell. Raises
-    UsageError for results on other episodes than the suite's."""
-    content = run.content
-    episodes = sum(map(len, suite.of_cells()))
+def check_whole(run, suite):
+    """Raises UsageError for Results `run` on other episodes than the suite's, or in other settings."""
+    content, episodes = run.content, sum(map(len, suite.of_cells()))
     if content.get("suite_digest") != suite.digest or len(run.rows) + len(content.get("faults", [])) != episodes:
         raise UsageError(f"'{run.source}' is not of all {episodes} episodes of today's suite '{suite.name}'.")
+    if content.get("overrides") or not content.get("frozen_seeds", True):
+        raise UsageError(f"'{run.source}' is of other settings or seeds than those of the suite '{suite.name}'.")
+
+
+def standing(run, suite):
+    """What the Results `run` tell of an agent on a suite: its SNS with the interval, and that of each cell. Raises
+    UsageError as check_whole."""
+    check_whole(run, suite)
     low, high = run.intervals["SNS"]
     cells = dict(zip(run.cells, run.cell_means("SNS"), strict=True))
     return {
