@@ -1,44 +1,17 @@
 """tools/add_rows.py: rows of new results in the shipped leaderboard."""
 
-import json
 import pathlib
 import sys
 
 import add_rows
 import pytest
+from made_results import scored
 
 from bson import cli
 from bson.evaluation.results import Results
-from bson.evaluation.suites import load_suite
 from macid.files import UsageError
 
 BOARD = (pathlib.Path(__file__).parents[2] / "assets" / "results" / "leaderboard.md").read_text()
-SUITE = load_suite("dense")
-
-
-def scored(folder, agent, score, **changes):
-    """A folder with results of `agent` on all of the suite's episodes, each with the same score."""
-    folder.mkdir()
-    cells = [cell.name for cell in SUITE.cells]
-    rows = [
-        {"cell": cell, "seed": seed, "SNS": score, "success": 1.0}
-        for cell, seeds in zip(cells, SUITE.of_cells(), strict=True)
-        for seed in seeds
-    ]
-    content = {
-        "agent": agent,
-        "suite": SUITE.name,
-        "suite_digest": SUITE.digest,
-        "overrides": {},
-        "versions": {"mujoco": "3.17.0"},
-        "track": ["local", "lidar2d"],
-        "summary": {"SNS": score, "success": 1.0},
-        "intervals": {"SNS": [score, score], "success": [1.0, 1.0]},
-        "cells": [{"name": cell, "grades": {"place": cell}, "config": {}} for cell in cells],
-        "episodes": rows,
-    }
-    (folder / "results.json").write_text(json.dumps(content | changes))
-    return folder
 
 
 def rows_of(text, suite):
@@ -49,12 +22,12 @@ def rows_of(text, suite):
 
 def test_a_row_takes_its_rank_and_an_earlier_one_of_the_agent_goes(tmp_path):
     before = rows_of(BOARD, "dense")
-    text = add_rows.add(BOARD, Results.load(scored(tmp_path / "a", "newcomer", 60.0)))
+    text = add_rows.add(BOARD, Results.load(scored(tmp_path / "a", "newcomer", 60.0, "dense")))
     rows = rows_of(text, "dense")
     assert [int(row[0]) for row in rows] == list(range(1, len(before) + 2))
     scores = [float(row[3].split()[0]) for row in rows]
     assert scores == sorted(scores, reverse=True) and [row[1] for row in rows].count("`newcomer`") == 1
-    again = rows_of(add_rows.add(text, Results.load(scored(tmp_path / "b", "newcomer", 99.0))), "dense")
+    again = rows_of(add_rows.add(text, Results.load(scored(tmp_path / "b", "newcomer", 99.0, "dense"))), "dense")
     assert again[0][1:4] == ["`newcomer`", "local, lidar2d", "99.0 [99.0, 99.0]"] and len(again) == len(rows)
     for suite in ("paper", "standard", "scenarios", "street"):  # the others are as they were
         assert rows_of(text, suite) == rows_of(BOARD, suite)
@@ -62,7 +35,7 @@ def test_a_row_takes_its_rank_and_an_earlier_one_of_the_agent_goes(tmp_path):
 
 def test_what_stays_stays_letter_by_letter(tmp_path):
     row = next(row for row in rows_of(BOARD, "dense") if row[1] == "`mppi`")
-    run = Results.load(scored(tmp_path / "a", "newcomer", -5.0))  # the last
+    run = Results.load(scored(tmp_path / "a", "newcomer", -5.0, "dense"))  # the last
     without = add_rows.add(BOARD, run).replace(f"| {len(rows_of(BOARD, 'dense')) + 1} | `newcomer`", "\0")
     kept = "\n".join(line for line in without.splitlines() if not line.startswith("\0")) + "\n"
     assert kept == BOARD and row[0] == "1"
@@ -80,7 +53,10 @@ def test_other_results_have_no_row(changes, told, tmp_path, monkeypatch, capsys)
     board = tmp_path / "leaderboard.md"
     board.write_text(BOARD)
     monkeypatch.setattr(add_rows, "BOARD", board)
-    folders = [scored(tmp_path / "good", "good", 50.0), scored(tmp_path / "bad", "bad", 50.0, **changes)]
+    folders = [
+        scored(tmp_path / "good", "good", 50.0, "dense"),
+        scored(tmp_path / "bad", "bad", 50.0, "dense", **changes),
+    ]
     monkeypatch.setattr(sys, "argv", ["add_rows", *map(str, folders)])
     assert add_rows.main() == 2 and told in capsys.readouterr().err
     assert board.read_text() == BOARD  # the good one's row either
@@ -89,7 +65,7 @@ def test_other_results_have_no_row(changes, told, tmp_path, monkeypatch, capsys)
 
 
 def test_a_suite_without_a_table_has_no_row(tmp_path):
-    run = Results.load(scored(tmp_path / "a", "goal", 1.0))
+    run = Results.load(scored(tmp_path / "a", "goal", 1.0, "dense"))
     with pytest.raises(UsageError, match="no table of the suite 'dense'"):
         add_rows.add(BOARD.replace("Suite `dense`", "Suite `other`"), run)
 
