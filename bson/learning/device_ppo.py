@@ -26,7 +26,7 @@ from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.learning import pieces
 from bson.learning.draw import EachEpisode, load_draw
-from bson.learning.hyperparameters import check, command_line, differing, given
+from bson.learning.hyperparameters import check, differing, given, training_command
 from bson.learning.keeper import BestKeeper, Keeper, collect_keeper, restore_keeper, started, wanted_keeper
 from bson.learning.pieces import Gru, Learner, Mlp
 from bson.simulation.engines.warp import WarpConfig, check_warp
@@ -137,7 +137,7 @@ class DeviceTrainConfig:
         usual |= {"validate-every": 2_000_000, "validate-episodes": 64}
         flags = {"algo": self.algo, "engine": self.engine, **given(self, usual)}
         changes = differing(self.hyperparameters, STARTED if self.start else DevicePpoConfig())
-        return command_line(flags, {"set": self.task, "hyperparameter": changes})
+        return training_command(flags, {"set": self.task, "hyperparameter": changes})
 
     @property
     def updates(self) -> int:

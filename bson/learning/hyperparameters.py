@@ -114,7 +114,7 @@ def given(config: Any, usual: Mapping[str, Any], its: Mapping[str, Any] = {}) ->
     return {flag: value for flag, value in values.items() if value != usual[flag]}
 
 
-def command_line(flags: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> str:
+def training_command(flags: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> str:
     """`bson train` with `flags`, {name: value}, and `changes`, {flag: {KEY: VALUE}}."""
     words = ["bson", "train"]
     for flag, value in flags.items():

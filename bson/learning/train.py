@@ -23,7 +23,7 @@ from bson.learning.dagger import DaggerConfig
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
-from bson.learning.hyperparameters import command_line, differing, given
+from bson.learning.hyperparameters import differing, given, training_command
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.keeper import RECENT, BestKeeper, means_of, noted_config, started
 from bson.learning.presets import INPUTS, PRESETS, PUPILS, STARTED, hyperparameters
@@ -134,7 +134,7 @@ class TrainConfig:
         its = {"preset": preset, "teacher": chosen.expert if teaches else None}
         its |= {name: getattr(chosen, name, usual[name]) for name in ("shield", "demonstrations")}
         flags = {"algo": self.algo, **given(self, usual, its)}
-        return command_line(flags, {"set": self.task, "hyperparameter": changes[preset]})
+        return training_command(flags, {"set": self.task, "hyperparameter": changes[preset]})
 
 
 class _Progress(BaseCallback):
