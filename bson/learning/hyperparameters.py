@@ -14,6 +14,7 @@ from macid.files import UsageError
 FLAG = "--hyperparameter"
 MOST_LAYERS, MOST_UNITS = 16, 1 << 14
 _MOST = 10**9
+_NOTHING = object()
 # Whole numbers: the least.
 _WHOLE = {name: 1 for name in ("rollout", "piece", "batch", "batches", "epochs", "leg", "rounds", "buffer")}
 _WHOLE |= {"steps_per_update": 1, "updates": 0, "burn": 0, "warmup": 0, "learning_starts": 0}
@@ -97,10 +98,11 @@ def changed(config: Any, changes: Mapping[str, Any]) -> Any:
 
 
 def differing(config: Any, usual: Any) -> dict[str, Any]:
-    """{name: value} of the fields by which `config` differs from `usual`, those without a flag of their own."""
+    """{name: value} of the fields by which `config` differs from `usual`, or that `usual` lacks; without those that
+    have a flag of their own."""
     flags = _FLAGS.get(type(config).__name__, {})
-    names = [field.name for field in dataclasses.fields(config) if field.init and field.name not in flags]
-    return {name: getattr(config, name) for name in names if getattr(config, name) != getattr(usual, name)}
+    fields = [field.name for field in dataclasses.fields(config) if field.init and field.name not in flags]
+    return {name: getattr(config, name) for name in fields if getattr(config, name) != getattr(usual, name, _NOTHING)}
 
 
 _FIELDS = {"worlds": "num_envs"}  # of configurations, where a flag has another name

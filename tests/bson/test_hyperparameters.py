@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pathlib
 import re
 import shlex
 
@@ -159,6 +160,17 @@ def as_trained(command, monkeypatch, tmp_path):
 )
 def test_a_configurations_command_trains_it(config, monkeypatch, tmp_path):
     assert as_trained(config.command, monkeypatch, tmp_path) == [config]
+
+
+def test_an_algorithm_of_ones_own_has_a_command_too(monkeypatch, tmp_path):
+    monkeypatch.chdir(pathlib.Path(__file__).parents[1] / "examples")  # each time it is loaded, its class is a new one
+    for changes in ({}, {"learning_rate": 0.5}):
+        chosen = changed(hyperparameters("own_algorithm.py:A2c"), changes)
+        [config] = as_trained(
+            TrainConfig("own_algorithm.py:A2c", hyperparameters=chosen).command, monkeypatch, tmp_path
+        )
+        assert dataclasses.asdict(config.hyperparameters) == dataclasses.asdict(chosen)
+        assert config.algo == "own_algorithm.py:A2c" and ("--hyperparameter" in config.command) == bool(changes)
 
 
 @pytest.mark.parametrize("path", sorted((assets.root() / "agents").glob("*.json")), ids=lambda path: path.stem)
