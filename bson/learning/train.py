@@ -125,10 +125,8 @@ class TrainConfig:
         """The `bson train` that trains so."""
         chosen = self.hyperparameters
         each = {name: hyperparameters(self.algo, name, self.inputs, self.start) for name in PRESETS}
-        changes = {
-            name: differing(chosen, one) for name, one in each.items() if vars(one).keys() == vars(chosen).keys()
-        }
-        changes = changes or {"fast": differing(chosen, each["fast"])}
+        alike = [name for name, one in each.items() if vars(one).keys() == vars(chosen).keys()] or ["fast"]
+        changes = {name: differing(chosen, each[name]) for name in alike}
         preset = min(changes, key=lambda name: len(changes[name]))
         usual = {"preset": "fast", "inputs": "scans", "draw": None, "teacher": None, "shield": False, "start": None}
         usual |= {"demonstrations": None, "seed": None, "steps": 1_000_000, "worlds": 16}
