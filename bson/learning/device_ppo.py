@@ -26,7 +26,7 @@ from bson.interfaces.device import DeviceWorlds
 from bson.interfaces.functional import BsonFuncEnv
 from bson.learning import pieces
 from bson.learning.draw import EachEpisode, load_draw
-from bson.learning.hyperparameters import check, differing, given, training_command
+from bson.learning.hyperparameters import check, differing, training_command
 from bson.learning.keeper import BestKeeper, Keeper, collect_keeper, restore_keeper, started, wanted_keeper
 from bson.learning.pieces import Gru, Learner, Mlp
 from bson.simulation.engines.warp import WarpConfig, check_warp
@@ -133,11 +133,8 @@ class DeviceTrainConfig:
     @property
     def command(self) -> str:
         """The `bson train` that trains so."""
-        usual = {"seed": None, "steps": 1_000_000, "worlds": 1024, "inputs": "scans", "draw": None, "start": None}
-        usual |= {"validate-every": 2_000_000, "validate-episodes": 64}
-        flags = {"algo": self.algo, "engine": self.engine, **given(self, usual)}
         changes = differing(self.hyperparameters, STARTED if self.start else DevicePpoConfig())
-        return training_command(flags, {"set": self.task, "hyperparameter": changes})
+        return training_command(self, {"engine": self.engine}, changes)
 
     @property
     def updates(self) -> int:

@@ -105,23 +105,23 @@ def differing(config: Any, usual: Any) -> dict[str, Any]:
     return {name: getattr(config, name) for name in fields if getattr(config, name) != getattr(usual, name, _NOTHING)}
 
 
-_FIELDS = {"worlds": "num_envs"}  # of configurations, where a flag has another name
+_STEPS = 1_000_000  # that the command has without --steps, whatever a configuration's default is
 
 
-def given(config: Any, usual: Mapping[str, Any], its: Mapping[str, Any] = {}) -> dict[str, Any]:
-    """{flag: value} of what differs from `usual`, {flag: default}: in `its`, else in the configuration's fields."""
-    values = {
-        flag: its[flag] if flag in its else getattr(config, _FIELDS.get(flag, flag.replace("-", "_"))) for flag in usual
-    }
-    return {flag: value for flag, value in values.items() if value != usual[flag]}
-
-
-def training_command(flags: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> str:
-    """`bson train` with `flags`, {name: value}, and `changes`, {flag: {KEY: VALUE}}."""
+def training_command(config: Any, more: Mapping[str, Any], changes: Mapping[str, Any]) -> str:
+    """The `bson train` of a TrainConfig or DeviceTrainConfig, with what differs from the defaults. more: further flags,
+    {name: value}; those that are None or False are left out; changes: of hyperparameters."""
+    fields = ("inputs", "num_envs", "validate_every", "validate_episodes")
+    own = {name: value for name in fields if (value := getattr(config, name)) != getattr(type(config), name)}
+    flags = {"algo": config.algo, "inputs": own.get("inputs"), "draw": config.draw, **more, "start": config.start}
+    flags |= {"seed": config.seed, "steps": None if config.steps == _STEPS else config.steps}
+    flags |= {"worlds": own.get("num_envs")}
+    flags |= {f"validate-{name}": own.get(f"validate_{name}") for name in ("every", "episodes")}
     words = ["bson", "train"]
     for flag, value in flags.items():
-        words += [f"--{flag}", *([] if value is True else [str(value)])]
-    for flag, pairs in changes.items():
+        if value is not None and value is not False:
+            words += [f"--{flag}", *([] if value is True else [str(value)])]
+    for flag, pairs in (("--set", config.task), (FLAG, changes)):
         for key, value in pairs.items():
-            words += [f"--{flag}", f"{key}={as_word(value)}"]
+            words += [flag, f"{key}={as_word(value)}"]
     return shlex.join(words)

@@ -23,7 +23,7 @@ from bson.learning.dagger import DaggerConfig
 from bson.learning.dataset import demonstrations
 from bson.learning.draw import load_draw
 from bson.learning.guided_env import GuidedVecEnv
-from bson.learning.hyperparameters import differing, given, training_command
+from bson.learning.hyperparameters import differing, training_command
 from bson.learning.imitation import BcConfig, clone, demonstrate, select
 from bson.learning.keeper import RECENT, BestKeeper, means_of, noted_config, started
 from bson.learning.presets import INPUTS, PRESETS, PUPILS, STARTED, hyperparameters
@@ -128,14 +128,10 @@ class TrainConfig:
         alike = [name for name, one in each.items() if vars(one).keys() == vars(chosen).keys()] or ["fast"]
         changes = {name: differing(chosen, each[name]) for name in alike}
         preset = min(changes, key=lambda name: len(changes[name]))
-        usual = {"preset": "fast", "inputs": "scans", "draw": None, "teacher": None, "shield": False, "start": None}
-        usual |= {"demonstrations": None, "seed": None, "steps": 1_000_000, "worlds": 16}
-        usual |= {"validate-every": 100_000, "validate-episodes": 64}
-        teaches = isinstance(chosen, DaggerConfig)
-        its = {"preset": preset, "teacher": chosen.expert if teaches else None}
-        its |= {name: getattr(chosen, name, usual[name]) for name in ("shield", "demonstrations")}
-        flags = {"algo": self.algo, **given(self, usual, its)}
-        return training_command(flags, {"set": self.task, "hyperparameter": changes[preset]})
+        more = {"preset": None if preset == "fast" else preset}
+        more["teacher"] = chosen.expert if isinstance(chosen, DaggerConfig) else None
+        more |= {name: getattr(chosen, name, None) for name in ("shield", "demonstrations")}
+        return training_command(self, more, changes[preset])
 
 
 class _Progress(BaseCallback):

@@ -69,12 +69,19 @@ def test_values_just_beyond_what_is_valid_are_refused(kind, values):
         kind(**values)
 
 
-def test_values_at_the_border_are_valid():
-    PpoConfig(batch=2, gamma=1.0, lam=0.0, hidden=(1,))
-    SacConfig(q=1.0, hidden=(8,) * 16, learning_starts=0)
-    BcConfig(keep=1.0)
-    DaggerConfig(rounds=1, noise=0)
-    RecurrentSacConfig(tau=1.0, burn=0)
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (PpoConfig, {"batch": 2, "gamma": 1.0, "lam": 0.0, "hidden": (1,)}),
+        (SacConfig, {"q": 1.0, "hidden": (8,) * 16, "learning_starts": 0}),
+        (BcConfig, {"keep": 1.0}),
+        (DaggerConfig, {"rounds": 1, "noise": 0}),
+        (RecurrentSacConfig, {"tau": 1.0, "burn": 0}),
+    ],
+)
+def test_values_at_the_border_are_valid(kind, values):
+    made = kind(**values)
+    assert {name: getattr(made, name) for name in values} == values
 
 
 def test_words_become_the_fields_values():
